@@ -1,5 +1,5 @@
-"""How fast each part is, beside what else does the same work on the same machine: ``shmoo bench`` runs `registry`.
+"""Speed of each part, compared with other programs that do the same work on the same machine.
 
-Beside the benchmarks lie the programs that make the pictures and measured tables of docs/, ``python -m
-benchmarks.NAME`` in a clone. A wheel holds this folder as ``shmoo_mjx.benchmarks``.
+``shmoo bench`` runs the benchmarks of `registry`. The folder also has the programs that make the pictures and measured
+tables of docs/ (``python -m benchmarks.NAME`` in a clone). A wheel contains it as ``shmoo_mjx.benchmarks``.
 """

@@ -1,9 +1,9 @@
-"""Two results of one benchmark: what has become slower?
+"""Comparison of two results of one benchmark: which metrics have become slower.
 
-A metric's name tells what it is: of ``..._per_s`` and ``..._gflops`` more is better, of ``..._ms`` and ``..._s`` less.
-Memory and the worst single step are left out: they are up to chance. Ratios to another program's time, such as
-``ratio_to_plain_jax``, are compared instead if asked for: two machines have nothing else in common. Not so
-``ratio_to_ideal``: how near a processor comes to its rate is its own affair (0.9 on one, 2.0 on another).
+The name of a metric shows its kind. Larger is better for ``..._per_s`` and ``..._gflops``, smaller is better for
+``..._ms`` and ``..._s``. Memory and the worst single step are left out, because they vary by chance. Results of two
+machines are compared by ratios to another program's time, such as ``ratio_to_plain_jax``. ``ratio_to_ideal`` is left
+out there, because it depends on the processor (0.9 on one, 2.0 on another).
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentResult, read_result
 
 LIMIT = 1.2
-"""Times as slow as before from which on a metric is flagged."""
+"""Slowdown above which a metric is flagged."""
 LIMIT_OF_RATIOS = 1.5
-"""The same of a ratio on another machine, whose caches and vector units are others."""
+"""Slowdown above which a ratio is flagged. It is larger, because caches and vector units differ between machines."""
 
 
 class Change(NamedTuple):
@@ -28,11 +28,11 @@ class Change(NamedTuple):
     before: float
     after: float
     slower: float
-    """How many times as slow as before; below 1 it is faster."""
+    """Slowdown: how many times as slow as before. Below 1 the metric has become faster."""
 
 
 def compare_results(old: ExperimentResult, new: ExperimentResult, ratios: bool = False) -> list[Change]:
-    """Every time and rate that both have, or every ratio; the worst first."""
+    """Changes of all times and rates that both results have, or of all ``ratios``, the largest slowdown first."""
     changes = []
     for name, before in old.metrics.items():
         after, kind = new.metrics.get(name), _kind(name, ratios)
@@ -42,7 +42,11 @@ def compare_results(old: ExperimentResult, new: ExperimentResult, ratios: bool =
 
 
 def compare_files(files: Sequence[Path], ratios: bool = False) -> tuple[str, bool]:
-    """The comparison as text, and whether anything is slower than the limit allows.
+    """The comparison as text, and whether any metric is slower than the limit allows.
+
+    Args:
+        files: the older and the newer result.
+        ratios: whether to compare ratios instead of times and rates.
 
     Raises:
         ShmooError: not two files, no results of a benchmark, or results that can't be compared.

@@ -1,6 +1,6 @@
 """Speed and memory of DAIML: an epoch of Neural-Fly's size, the cost of more conditions, and the shipped training.
 
-Every row comes from a fresh process. Times leave compilation out, but for the whole training and ``first_chunk_s``.
+Every row comes from a fresh process. Times exclude compilation, except for the whole training and ``first_chunk_s``.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from .workers import usable_cores
 Row = dict[str, Any]
 
 CHUNKS = 6
-"""Chunks of a training that is timed; the first compiles. Between two, Python is called and a condition scored."""
+"""Number of chunks of a timed training. The first one compiles. Between two chunks, Python runs and scores a
+condition."""
 REFERENCE = {"neural_fly_epoch_ms": 33.0}
-"""What an epoch takes in Neural-Fly's PyTorch code on one thread of a machine like this [ms]."""
+"""Time of an epoch in Neural-Fly's PyTorch code on one thread of a similar machine [ms]."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,11 @@ class DaimlSizes:
     """Sizes of the benchmark."""
 
     epochs: int = 200
-    """Neural-Fly epochs per chunk; none of them, if 0."""
+    """Neural-Fly epochs per chunk; 0 leaves this part out."""
     conditions: tuple[int, ...] = (12, 48, 120, 480)
     """Numbers of training conditions."""
     whole: bool = True
-    """Train the shipped psi from start to end."""
+    """Whether to train the shipped psi from start to end."""
 
 
 FULL = DaimlSizes()
@@ -47,7 +48,7 @@ GPU = DaimlSizes(epochs=0, conditions=(480,), whole=False)
 
 
 def _one_thread() -> None:
-    """Before JAX starts: this process keeps to one core and XLA to one thread."""
+    """Restrict this process to one core and XLA to one thread. JAX must not have started yet."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
@@ -60,7 +61,7 @@ def _fresh(prepare: Callable[[], None] | None, work: Callable[..., Row], *argume
 
 
 def _peak_bytes() -> int:
-    """Most memory that this process ever had; unlike ru_maxrss, nothing of the process it came from."""
+    """Peak memory of this process [bytes]. Unlike ru_maxrss, it does not include the parent process."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM"):
             return 1024 * int(line.split()[1])
@@ -73,9 +74,10 @@ def _law(rng: np.random.Generator, rows: int, inputs: int) -> tuple[np.ndarray, 
 
 
 def _timed(train: Callable[[Callable[[Any], None]], Any], per_chunk: int) -> Row:
-    """Times of one of the ``per_chunk`` steps of a chunk [ms], without the first chunk, which compiles.
+    """Times per step [ms], from chunks of ``per_chunk`` steps without the first chunk, which compiles.
 
-    ``ms`` is the fastest chunk's; ``cpu_ms`` counts only what this process was running, so busy neighbours add little.
+    ``ms`` is the time of the fastest chunk. ``cpu_ms`` counts only the processor time of this process, so other
+    processes add little.
     """
     started = time.perf_counter()
     ends: list[tuple[float, float]] = []
@@ -86,7 +88,10 @@ def _timed(train: Callable[[Callable[[Any], None]], Any], per_chunk: int) -> Row
 
 
 def neural_fly_epoch(epochs: int) -> Row:
-    """3 conditions, one update for each: batch 256, K-shot 32, phi 11-50-60-50-3, adversary every other time."""
+    """The row of an epoch of Neural-Fly's size: 3 conditions with one update each.
+
+    Batch 256, K-shot 32, phi 11-50-60-50-3, adversary every other time.
+    """
     from shmoo_mjx.dynamics.object_model import ObjectConfig
     from shmoo_mjx.learning import daiml
 
@@ -112,7 +117,7 @@ def neural_fly_epoch(epochs: int) -> Row:
 
 
 def more_conditions(conditions: int) -> Row:
-    """An update of the shipped settings, which looks at 12 conditions however many there are."""
+    """The row of an update with the shipped settings. It uses 12 conditions, whatever the number of ``conditions``."""
     from shmoo_mjx.dynamics import features
     from shmoo_mjx.learning import daiml
     from shmoo_mjx.learning.samples import Samples
@@ -141,7 +146,7 @@ def more_conditions(conditions: int) -> Row:
 
 
 def whole_training(data: Path) -> Row:
-    """The shipped psi from start to end, reading and compiling included."""
+    """The row of the shipped training of psi from start to end, including reading and compilation."""
     from shmoo_mjx.learning import daiml
 
     started = time.perf_counter()
@@ -157,7 +162,7 @@ def whole_training(data: Path) -> Row:
 
 
 def run(config: DaimlSizes, options: BenchOptions) -> Measured:
-    """All rows. The shipped training needs data/train, takes minutes, and is left out of a quick run."""
+    """All rows. The shipped training takes minutes. It runs only if data/train exists, and not in a quick run."""
     jobs: list[tuple[Callable[[], None] | None, Callable[..., Row], tuple[Any, ...]]] = []
     if config.epochs:
         jobs.append((_one_thread, neural_fly_epoch, (config.epochs,)))

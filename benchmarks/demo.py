@@ -1,4 +1,4 @@
-"""Where the time of ``shmoo demo`` goes, film and report included: physics, control, planning, compilation, Python.
+"""Time of ``shmoo demo`` by part, including film and report: physics, control, planning, compilation, Python.
 
 The demo runs in a process of its own, first with an empty compilation cache, then with a warm one.
 """
@@ -28,9 +28,9 @@ class DemoSizes:
     """Sizes of the benchmark."""
 
     time_s: float = 180.0
-    """Longest simulated time [s]."""
+    """Maximum simulated time [s]."""
     runs: int = 3
-    """With a warm cache; the fastest counts, as neighbours only ever slow one down."""
+    """Runs with a warm cache. The fastest one counts, because other processes can only slow a run down."""
 
 
 FULL = DemoSizes()
@@ -38,7 +38,7 @@ QUICK = DemoSizes(time_s=14.0, runs=1)
 
 
 def run(cfg: DemoSizes, options: BenchOptions) -> Measured:
-    """The demo of the seed, cold and warm."""
+    """Times of the demo of the seed, with an empty and with a warm compilation cache."""
     with tempfile.TemporaryDirectory() as empty:
         options.progress("with an empty compilation cache", 0.0)
         cold = _demo(cfg, options.seed, empty)
@@ -63,7 +63,7 @@ def run(cfg: DemoSizes, options: BenchOptions) -> Measured:
 
 
 def _demo(cfg: DemoSizes, seed: int, cache: str) -> dict[str, Any]:
-    """One run: simulated time, wall_s, and parts with the seconds of each."""
+    """One run: simulated time and wall-clock time [s], and the seconds of each part."""
     began = time.perf_counter()
     command = [sys.executable, "-P", "-m", __name__, str(seed), str(cfg.time_s)]
     done = subprocess.run(
@@ -77,7 +77,7 @@ def _demo(cfg: DemoSizes, seed: int, cache: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run the demo of the seed with the clock on; prints one line of JSON."""
+    """Run the demo of the seed with the clock on, and print one line of JSON."""
     from shmoo_mjx.base.environment import prepare_environment
 
     prepare_environment()

@@ -1,14 +1,14 @@
-"""Our side of the MPPI benchmark, each engine in a process of its own: python -m benchmarks.engines SPEC.
+"""Engines of the MPPI benchmark that use JAX, each in a process of its own: python -m benchmarks.engines SPEC.
 
 SPEC is JSON: engine, samples, horizon, problems, activation, seed. The engines:
 
-* ``ours``: the whole control step of `control.pushing`, observation to u, with the shipped weights: adaptation,
+* ``ours``: the whole control step of `control.pushing` from observation to u, with the shipped weights: adaptation,
   sampling, features, networks, contact rules, the cost of a push with its map, update.
 * ``ours_paper``: the same with the paper's widths of psi and no linear terms, untrained, and Eq. 9 as the only cost.
-* ``plain_jax``: the common problem of `mppi_problem` as one writes it in JAX: vmap, scan, jit.
-* ``gemm``: one matrix product of single precision, for the rate of a machine with a GPU.
-* ``batch``: several problems planned in one call, ``mppi.plan`` over the learned core for each; one problem has its
-  roll-outs shared out among the devices, several are shared out themselves.
+* ``plain_jax``: the common problem of `mppi_problem` in plain JAX: vmap, scan, jit.
+* ``gemm``: one matrix product in single precision, which gives the rate of a machine with a GPU.
+* ``batch``: several problems planned in one call, each with ``mppi.plan`` over the learned core. The devices share the
+  roll-outs of a single problem, and otherwise they share the problems.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ GOAL = np.array([2.0, 0.4, 0.0])
 
 
 class _Corridor:
-    """Clearance of a corridor 2.4 m wide."""
+    """Distance field of a corridor 2.4 m wide."""
 
     def at(self, points: Array) -> Array:
         return np.maximum(1.2 - np.abs(points[..., 1]), 0.0)
 
 
 def _sighting(rng: np.random.Generator) -> ObjectObservation:
-    """Hands on the face, and a little noise: no two steps see the same."""
+    """Observation with the hands on the face, and a little noise so that no two steps see the same."""
     noise = 0.01 * rng.standard_normal((7, 3))
     return ObjectObservation(
         robot_pose=noise[0],
@@ -64,7 +64,7 @@ def _sighting(rng: np.random.Generator) -> ObjectObservation:
 
 
 def paper_form(activation: str, seed: int) -> tuple[weights_file.Weights, PushConfig]:
-    """The paper's widths, untrained, and Eq. 9 alone."""
+    """Untrained weights with the paper's widths, and Eq. 9 as the only cost."""
     body = replace(ObjectConfig.paper(), activation=activation)
     robot = replace(RobotConfig.paper(), activation=activation)
     weights = weights_file.untrained(CoreConfig(robot=robot, object=body), seed)
@@ -72,7 +72,7 @@ def paper_form(activation: str, seed: int) -> tuple[weights_file.Weights, PushCo
 
 
 def ours(weights: weights_file.Weights, config: PushConfig, seed: int) -> Callable[[], Any]:
-    """The control step of a push; each call goes on from the last one's state."""
+    """The control step of a push. Each call continues from the state of the last one."""
     controller = pushing.PushController(weights, config)
     rng = np.random.default_rng(seed)
     state = controller.init(_sighting(rng), FACE, HALF_EXTENTS, jax.random.key(seed))
@@ -90,7 +90,7 @@ def ours(weights: weights_file.Weights, config: PushConfig, seed: int) -> Callab
 
 
 def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callable[[], Any]:
-    """The common problem: single roll-outs, vmap, jit."""
+    """The step of the common problem in plain JAX: single roll-outs, vmap, jit."""
     problem = jax.tree.map(jnp.asarray, work.draw(seed))
     act = jnp.tanh if activation == "tanh" else jax.nn.relu
 
@@ -130,14 +130,14 @@ def plain_jax(samples: int, horizon: int, activation: str, seed: int) -> Callabl
 
 
 def gemm(size: int) -> Callable[[], Any]:
-    """One float32 matrix product."""
+    """A step that computes one float32 matrix product with ``size`` rows and columns."""
     a, b = jax.random.uniform(jax.random.key(0), (2, size, size))
     product = jax.jit(jnp.matmul)
     return lambda: jax.block_until_ready(product(a, b))
 
 
 def batch(samples: int, horizon: int, problems: int, seed: int) -> Callable[[], Any]:
-    """Plans for ``problems`` states in one call, with Eq. 9 as the cost."""
+    """A step that plans for ``problems`` states in one call, with Eq. 9 as the cost."""
     weights = weights_file.load_weights(asset(WEIGHTS))
     cfg = replace(PushConfig().control, num_rollouts=samples, horizon=horizon)
     mesh = sharding.rollout_mesh(samples) if problems == 1 else None

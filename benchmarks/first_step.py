@@ -1,7 +1,7 @@
-"""From nothing to the demo's first commands, in a process of its own: python -m benchmarks.first_step SEED.
+"""Time to the first commands of the demo, in a process of its own: python -m benchmarks.first_step SEED.
 
-Prints one line of JSON: seconds from the start of this file to the first command (``drive``) and to the first one that
-MPPI gives (``push``), with which the simulated seconds of the drive up to the box are included.
+Prints one line of JSON: seconds from the start of this file to the first command (``drive``), and to the first command
+of MPPI (``push``). The second time includes the simulation of the drive to the box.
 """
 
 from __future__ import annotations

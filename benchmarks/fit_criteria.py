@@ -1,9 +1,9 @@
-"""Fit the criteria that the experiment object_planner compares roll-outs with to touches of objects of training.
+"""Fits the criteria that the experiment `object_planner` compares with roll-outs, on touches of training objects.
 
-Each object is probed with real senses by the navigator as it is. Finished touches are kept in the folder, so a stopped
-run goes on. 124 objects take half an hour on two cores.
+The shipped navigator probes each object with realistic sensing. Finished touches are kept in the folder, so an
+interrupted run can resume. 124 objects take half an hour on two cores.
 
-uv run python -m benchmarks.fit_criteria FOLDER
+Run: uv run python -m benchmarks.fit_criteria FOLDER
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from shmoo_mjx.evaluation.object_planner import ObjectPlannerTrials, draw_object
 from shmoo_mjx.evaluation.trials import run_trials
 
 FIRST_SEEDS = (300_000, 301_000)
-"""Below a million, where the objects of training are."""
+"""First seeds of the two sets of objects. Seeds below one million belong to training objects."""
 OBJECTS = 62
 SHRINKAGE = 0.1
-"""Of the slopes towards zero, as a variance of 10 would give it; without any a draw that the features separate would be
-called certain."""
+"""Weight of the quadratic penalty on the slopes, equal to a prior variance of 10. Without it, the fit would be certain
+of its decisions if the features separate the objects perfectly."""
 
 
 def main() -> None:
@@ -47,7 +47,7 @@ def _report(stage: str, done: float) -> None:
 
 
 def touch(cfg: ObjectPlannerTrials, trial: tuple[int, int]) -> list[dict[str, Any]]:
-    """What one second of contact tells of an object, and the truth; nothing if it was never touched."""
+    """The row of one object: measures after 1 s of contact, and the ground truth. No row if it was never touched."""
     first, index = trial
     condition, side, _ = draw_object(index, first, cfg.truth)
     told, _ = probe(condition, side, first + index, cfg=cfg, weights=asset(WEIGHTS))
@@ -55,7 +55,7 @@ def touch(cfg: ObjectPlannerTrials, trial: tuple[int, int]) -> list[dict[str, An
 
 
 def regression(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bias and slopes ``[1 + F]`` of least regularised log loss, of features ``x [N, F]`` and truths ``y [N]``."""
+    """Bias and slopes ``[1 + F]`` of a regularised logistic regression on features ``x [N, F]``, truths ``y [N]``."""
 
     def loss(b: np.ndarray) -> float:
         z = b[0] + x @ b[1:]

@@ -1,7 +1,7 @@
-"""Pictures of the gallery that commands of ``shmoo`` make: python -m benchmarks.gallery [PICTURE ...].
+"""Makes pictures of the gallery with commands of ``shmoo``: python -m benchmarks.gallery [PICTURE ...].
 
-Each one runs its command in a temporary folder and writes the picture to docs/figures. Films become animated WebP
-pictures, because pages such as the README play no films.
+The command of each picture runs in a temporary folder, and the picture is written to docs/figures. Films become
+animated WebP pictures, because pages such as the README play no films.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ FIGURES = Path("docs/figures")
 
 
 class Picture(NamedTuple):
-    """How a picture is made."""
+    """Command and drawing function of a picture."""
 
     command: str
-    """Command, in which OUT is the folder or file that it writes."""
+    """Command. OUT stands for the folder or file that it writes."""
     draw: Callable[[Path, Path], None]
-    """Makes the picture (second path) of what the command has written (first path)."""
+    """Makes the picture (second path) from the output of the command (first path)."""
 
 
 def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Path, Path], None]:
-    """Makes an animated WebP of a film.
+    """A function that makes an animated WebP from a film.
 
     Args:
         film: file below the command's folder.
@@ -52,7 +52,7 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
                 image = Image.fromarray(np.asarray(frame))
                 size = (width, round(width * image.height / image.width))
                 frames.append(image.resize(size, Image.Resampling.LANCZOS))
-        # The last picture stays, so that a reader sees the end.
+        # The last picture stays for 2 s, so that a reader sees the end.
         duration = [round(1000 / fps)] * (len(frames) - 1) + [2000]
         frames[0].save(
             picture, save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=40, method=2
@@ -62,13 +62,13 @@ def animation(film: str, *, width: int, every: int, fps: float) -> Callable[[Pat
 
 
 def report_map(out: Path, picture: Path) -> None:
-    """Draws the map of the demo's report."""
+    """Draw the map of the demo's report."""
     run = out / "demo-0"
     save_figure(picture, map_figure(load_result(run / "result.json"), load_trace(run / "trace.npz")))
 
 
 def copied(out: Path, picture: Path) -> None:
-    """Takes what the command has drawn."""
+    """Copy the picture that the command has drawn."""
     picture.write_bytes(out.read_bytes())
 
 
@@ -87,7 +87,7 @@ PICTURES = {
 
 
 def main(names: list[str]) -> None:
-    """Makes the pictures with these names, or all."""
+    """Make the pictures with these names, or all pictures."""
     for name in names or PICTURES:
         command, draw = PICTURES[name]
         with tempfile.TemporaryDirectory() as folder:

@@ -67,7 +67,7 @@ def picture(scene: str, size: tuple[int, int], *, tab: str, view: str, pushed: f
             _wait(lambda: _pushed_for(session) >= pushed)
             page.paused = True
             time.sleep(2.0)
-            # Without new frames, because a browser that draws in software is too busy for a screenshot.
+            # Stop new frames, because a browser that draws in software is too busy for a screenshot.
             page.pictures.close()
             runner.join()
             time.sleep(_DRAWING)
@@ -93,7 +93,7 @@ class _Window:
         raise AssertionError
 
     def close(self) -> None:
-        """Ends the browser."""
+        """End the browser."""
         self.chrome.quit()
 
 

@@ -21,7 +21,7 @@ from shmoo_mjx.base.environment import prepare_environment
 from shmoo_mjx.types import DT
 
 _COUNT = "window.drawn = 0; (function draw() { window.drawn++; requestAnimationFrame(draw); })()"
-"""Counts the pictures that a browser draws."""
+"""Script that counts the pictures that a browser draws."""
 
 
 def browser() -> Any:
@@ -34,7 +34,14 @@ def browser() -> Any:
 
 
 def measure(scene: str, seconds: float, clients: int, picture: Path | None) -> str:
-    """A row of the table; the page is watched by ``clients`` browsers."""
+    """The row of the table for ``clients`` browsers that watch the page.
+
+    Args:
+        scene: name of the scene.
+        seconds: duration of the measurement [s].
+        clients: number of browsers.
+        picture: file for a picture of the page, or None.
+    """
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.live.command import go_on
     from shmoo_mjx.live.page import Page

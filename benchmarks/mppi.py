@@ -1,8 +1,9 @@
-"""How long a control step takes: ours beside pytorch_mppi, NumPy, plain JAX and the least the machine needs.
+"""Duration of a control step of ours, pytorch_mppi, NumPy and plain JAX, and the minimum that the machine needs.
 
-Every engine is a process of its own on the same cores. They take turns in short rounds, so that whatever else the
-machine does meets all of them alike, and each figure is a median. The peers do the two networks, sampling, Eq. 9 and
-the update; ours does the whole step from observation to command, with adaptation, features, contact rules and the map.
+Every engine is a process of its own on the same cores. The engines take turns in short rounds, so that other load on
+the machine affects all of them alike. Each figure is a median. The peers compute the two networks, sampling, Eq. 9 and
+the update. Ours computes the whole step from observation to command, with adaptation, features, contact rules and the
+map.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ class MppiSizes:
     samples: int = 500
     horizon: int = 30
     activation: str = "relu"
-    """Of every engine's networks; the shipped weights have it too."""
+    """Activation of the networks of every engine, the same as that of the shipped weights."""
     rounds: int = 12
     calls: int = 25
     """Control steps of each engine per round."""
     gemm: int = 4096
-    """Side of the matrices whose product gives the machine's rate."""
+    """Side of the matrices whose product measures the rate of the machine."""
     steps: int = 10_000
-    """Control steps in a row for the worst case, quiet and beside a busy neighbour."""
+    """Consecutive control steps for the worst case, on a quiet machine and beside a busy process."""
     sample_sweep: tuple[int, ...] = (100, 500, 2_000, 10_000, 100_000)
     horizon_sweep: tuple[int, ...] = (10, 30, 50, 100)
     problem_sweep: tuple[int, ...] = (1, 4, 16, 64)
@@ -49,21 +50,22 @@ FULL = MppiSizes()
 QUICK = MppiSizes(
     rounds=3, calls=10, gemm=2048, steps=200, sample_sweep=(100, 500), horizon_sweep=(10, 30), problem_sweep=(1, 4)
 )
-"""Half a minute on two quiet cores."""
+"""Sizes that take half a minute on two quiet cores."""
 GPU = MppiSizes(
     rounds=4, steps=2_000, sample_sweep=(500, 10_000, 100_000), horizon_sweep=(30,), problem_sweep=(1, 64, 512)
 )
 
 _JITTER = 1024
-"""Side of the matrices whose product takes about as long as a control step: how unsteady the machine itself is."""
+"""Side of the matrices whose product takes about as long as a control step. The spread of its times is that of the
+machine itself."""
 _PAUSE = 0.2
-"""Between two engines' turns [s]: threads of BLAS and OpenMP spin on for a while when their work is done."""
+"""Pause between the turns of two engines [s]. Threads of BLAS and OpenMP spin for a while after their work."""
 
 Row = dict[str, Any]
 
 
 def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
-    """Measure; peers that are not installed are null, with a row that says why."""
+    """Times of all engines. The metrics of peers that are not installed are null, and a row gives the reason."""
     python = options.peers_python or Path(sys.executable)
     turns, about = _take_turns(cfg, _starters(cfg, options.seed, python), options.progress)
     medians = {name: 1e3 * float(np.median(s)) for name, s in turns.items() if s}
@@ -77,7 +79,7 @@ def run(cfg: MppiSizes, options: BenchOptions) -> Measured:
 
 
 def _starters(cfg: MppiSizes, seed: int, python: Path) -> dict[str, Callable[[], Worker]]:
-    """How to start each engine."""
+    """Functions that start each engine."""
 
     on_cpu = jax.default_backend() == "cpu"
 
@@ -109,7 +111,12 @@ def _spec(cfg: MppiSizes, seed: int, **changes: Any) -> Row:
 def _take_turns(
     cfg: MppiSizes, starters: dict[str, Callable[[], Worker]], progress: Callable[[str, float], None]
 ) -> tuple[dict[str, list[float]], dict[str, Row]]:
-    """Seconds of every step of each engine, by interleaved rounds; an absent peer has none and says why."""
+    """Run the engines in interleaved rounds.
+
+    Returns:
+        Durations of all steps of each engine [s], and what each engine reports about itself. An absent peer has no
+        durations and reports the reason.
+    """
     running: dict[str, Worker] = {}
     about: dict[str, Row] = {}
     turns: dict[str, list[float]] = {name: [] for name in starters}
@@ -127,13 +134,16 @@ def _take_turns(
             progress("rounds", i / cfg.rounds)
             for name, worker in running.items():
                 time.sleep(_PAUSE)
-                worker.seconds(2)  # caches and clocks belong to the engine before
+                worker.seconds(2)  # caches and clocks still belong to the previous engine
                 turns[name] += worker.seconds(1 if name == "gemm" else cfg.calls)[0]
     return turns, about
 
 
 def _worst_case(cfg: MppiSizes, options: BenchOptions, busy: bool) -> Row:
-    """Many steps of ours in a row, and beside a busy neighbour plain JAX too, for the case of one free core."""
+    """The row of many consecutive steps of ours.
+
+    Beside a busy process, plain JAX runs too, as the reference for one free core.
+    """
     with ExitStack() as stack:
         ours = stack.enter_context(closing(workers.ours(_spec(cfg, options.seed, engine="ours"))))
         if not busy:
@@ -170,7 +180,7 @@ def _many(cfg: MppiSizes, options: BenchOptions, worker: Worker, name: str) -> R
 
 
 def _sweeps(cfg: MppiSizes, options: BenchOptions) -> list[Row]:
-    """Cost against samples, horizon and the number of problems planned at once."""
+    """Rows of the step's duration by number of samples, by horizon, and by number of problems planned in one call."""
     wanted = [("samples", {"engine": "ours", "samples": s}) for s in cfg.sample_sweep]
     wanted += [("horizon", {"engine": "ours", "horizon": t}) for t in cfg.horizon_sweep]
     wanted += [("problems", {"engine": "batch", "problems": p}) for p in cfg.problem_sweep]
@@ -231,7 +241,7 @@ def _metrics(cfg: MppiSizes, medians: dict[str, float], about: dict[str, Row], w
 
 
 def _shipped_flop(samples: int, horizon: int) -> int:
-    """Floating point operations of the shipped networks' matrix products, as roll-outs do them."""
+    """Floating point operations of the shipped networks' matrix products in the roll-outs of one step."""
     from shmoo_mjx.dynamics import object_model, robot_model
     from shmoo_mjx.learning.weights import load_weights
 
@@ -242,7 +252,7 @@ def _shipped_flop(samples: int, horizon: int) -> int:
 
 
 def _batch_metrics(sweep: list[Row]) -> Row:
-    """What the most problems in one call take over as many calls with one."""
+    """Time of the most problems in one call, divided by the time of as many calls with one problem."""
     of = {row["problems"]: row["median_ms"] for row in sweep if row["kind"] == "sweep problems"}
     most = max(of)
     return {f"{most}_problems_over_{most}_times_one": of[most] / (most * of[1])} if most > 1 and 1 in of else {}

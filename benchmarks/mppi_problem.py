@@ -1,4 +1,4 @@
-"""The work of one MPPI step as every engine gets it: the paper's two networks, Eq. 9, S = 500 and T = 30.
+"""The work of one MPPI step, the same for every engine: the paper's two networks and Eq. 9, by default S = 500, T = 30.
 
 The state has 31 numbers: robot pose 3 and twist 3, memory 19, object pose 3 and twist 3.
 
@@ -7,7 +7,7 @@ The state has 31 numbers: robot pose 3 and twist 3, memory 19, object pose 3 and
     twists and poses integrate over 0.1 s; z, u and the object's last twist enter the memory
     cost = |goal - object pose at T| + effort sum |u| + change sum |u - u before|
 
-Only NumPy is needed here: peers run it with another interpreter, which knows nothing of this package.
+This module needs only NumPy, because peers run it with another interpreter that does not have this package.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ SIGMA, BOUND = 0.06, 0.2
 
 
 class Problem(NamedTuple):
-    """Everything but the sizes."""
+    """Networks, coefficients, start and goal of the problem."""
 
     robot: list[tuple[Array, Array]]
     """Weight ``[n_in, n_out]`` and bias of each layer of R."""
     psi: list[tuple[Array, Array]]
+    """Weight ``[n_in, n_out]`` and bias of each layer of psi."""
     coefficients: Array
-    """``[3, 6]``"""
+    """Coefficients a ``[3, 6]``."""
     x0: Array
-    """``[31]``"""
+    """State ``[31]`` at the start."""
     goal: Array
-    """``[3]``"""
+    """Target pose ``[3]`` of the object."""
 
 
 def draw(seed: int) -> Problem:
-    """Random networks of the paper's widths and a start, float32."""
+    """A problem with random networks of the paper's widths and a random start, in float32."""
     rng = np.random.default_rng(seed)
 
     def normal(*shape: int) -> np.ndarray:
@@ -57,15 +58,20 @@ def draw(seed: int) -> Problem:
 
 
 def flop(samples: int, horizon: int) -> int:
-    """Floating point operations of the two networks' matrix products: the work that no engine can avoid."""
+    """Floating point operations of the two networks' matrix products in one step, which no engine can avoid."""
     pairs = [p for widths in (R_WIDTHS, PSI_WIDTHS) for p in pairwise(widths)]
     return 2 * samples * horizon * sum(n * m for n, m in pairs)
 
 
 def transition(xp: Any, robot: Any, push: Any, *, x: Array, u: Array) -> Array:
-    """The state one sample later; ``xp`` is numpy, jax.numpy or torch, ``x [S, 31]``, ``u [S, 3]``.
+    """The state ``[S, 31]`` one sample later.
 
-    ``robot`` is R and ``push`` is psi a, each a function of a batch of inputs.
+    Args:
+        xp: numpy, jax.numpy or torch.
+        robot: R as a function of a batch of inputs.
+        push: psi a as a function of a batch of inputs.
+        x: ``[S, 31]`` state.
+        u: ``[S, 3]`` control.
     """
 
     def join(*parts: Array) -> Array:
@@ -83,7 +89,14 @@ def transition(xp: Any, robot: Any, push: Any, *, x: Array, u: Array) -> Array:
 
 
 def cost(xp: Any, goal: Array, last: Array, controls: Array) -> Array:
-    """Eq. 9 ``[S]`` of the states at the end ``[S, 31]`` and the controls ``[S, T, 3]``."""
+    """Cost ``[S]`` of Eq. 9.
+
+    Args:
+        xp: numpy, jax.numpy or torch.
+        goal: ``[3]`` target pose of the object.
+        last: ``[S, 31]`` states at the end of the horizon.
+        controls: ``[S, T, 3]`` controls.
+    """
 
     def norm(v: Array) -> Array:
         return xp.sqrt((v * v).sum(-1))

@@ -1,8 +1,8 @@
-"""Where the time of a navigation trial goes, as ``shmoo experiment navigation`` runs thousands of them.
+"""Time of a navigation trial by part, for trials as in ``shmoo experiment navigation``.
 
-Each trial runs twice in a process of its own that keeps to one core, as a worker of an experiment does; the second run
-counts, so that nothing is compiled any more. Trials in the demo's building need no files; ``--maps`` adds one scenario
-on each map of a folder.
+Each trial runs twice in a process of its own that is restricted to one core, like a worker of an experiment. The second
+run counts, because nothing compiles in it. Trials in the demo's building need no files. ``--maps`` adds one scenario on
+each map of a folder.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class NavigationSizes:
     """Sizes of the benchmark."""
 
     time_s: float = 180.0
-    """Longest simulated time of a trial [s]."""
+    """Maximum simulated time of a trial [s]."""
     demos: int = 3
-    """Trials in the demo's building."""
+    """Number of trials in the demo's building."""
 
 
 FULL = NavigationSizes()
@@ -38,7 +38,7 @@ QUICK = NavigationSizes(time_s=10.0, demos=1)
 
 
 def run(cfg: NavigationSizes, options: BenchOptions) -> Measured:
-    """Seconds of each part over simulated seconds, by place."""
+    """Time of each part by place, relative to the simulated time."""
     from shmoo_mjx.base.processes import process_pool
     from shmoo_mjx.evaluation.navigation_places import find_maps
     from shmoo_mjx.evaluation.trials import one_core
@@ -64,7 +64,8 @@ def run(cfg: NavigationSizes, options: BenchOptions) -> Measured:
 
 
 def _timed(time_s: float, seed: int, place: str, what: Any) -> dict[str, Any]:
-    """One trial: simulated_s, wall_s, and the seconds of each part. ``what`` is the demo's seed, or the map's YAML."""
+    """Simulated time, wall-clock time and time of each part of one trial [s]. ``what`` is the demo's seed, or the YAML
+    file of the map."""
     from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.evaluation.navigation_places import Places, kept_scenario
     from shmoo_mjx.evaluation.result import ExperimentOptions

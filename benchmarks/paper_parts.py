@@ -1,9 +1,10 @@
-"""The paper's system with one part changed, as pushing controllers: without each of its two additions to MPPI, and
+"""Pushing controllers of the paper's system with one part changed: without each of its two additions to MPPI, and
 without its white noise.
 
 Run: shmoo experiment pushing --quick --condition-seed 25 --policies paper benchmarks.paper_parts:metres ...
 
-From the repository's root, like any controller of one's own. What came of it stands in docs/paper_system.md.
+The command must run in the root of the repository, as for any user's own controller. docs/paper_system.md has the
+results.
 """
 
 from __future__ import annotations
@@ -34,4 +35,4 @@ metres = _with(_control(cost_scale=1.0))
 governor = _with(replace(_PAPER.pose_pushing, governor=GovernorConfig(gain=0.0)))
 """No bounds on the forward lean."""
 white = _with(_control(noise_correlation=0.9))
-"""Noise that is correlated in time, as ours."""
+"""Noise that is correlated in time, as in ours."""

@@ -1,4 +1,4 @@
-"""Where a run's time goes: seconds by part, each without those of the parts inside it, so that they add up."""
+"""Time of a run by part. The time of a part excludes that of the parts inside it, so the times add up."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ PARTS = {
         "shmoo_mjx.report.html:write_report",
     ),
 }
-"""Part to the functions whose time it is."""
+"""Functions whose time counts for each part."""
 COMPILATION = "tracing and compilation"
 
 
 @dataclass
 class PartClock:
-    """Seconds by part, each without those of the parts inside it."""
+    """Measures the time of each part [s], without that of the parts inside it."""
 
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     inside: list[float] = field(default_factory=lambda: [0.0])
-    """Of each part that is entered, the seconds of what was inside it so far."""
+    """Time spent so far in the parts inside each part that is being run, the innermost last [s]."""
 
     def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function`` with its time counted as the part's."""
+        """``function`` with its time counted for ``part``."""
 
         @functools.wraps(function)
         def counted(*args: Any, **kwargs: Any) -> Any:
@@ -60,13 +60,13 @@ class PartClock:
         return counted
 
     def add(self, part: str, seconds: float) -> None:
-        """Count ``seconds`` that have just passed as the part's, not as those of the part that is entered."""
+        """Count ``seconds`` that have just passed for ``part``, and not for the part that is being run."""
         self.seconds[part] += seconds
         self.inside[-1] += seconds
 
 
 def watch(clock: PartClock) -> None:
-    """Wrap the functions of PARTS wherever they are called by name, and listen to what JAX compiles."""
+    """Wrap the functions of PARTS in all modules that name them, and count the compilations of JAX."""
     import importlib
 
     import jax

@@ -1,8 +1,8 @@
-"""The peers, in a process and with an interpreter of their own: NumPy, and pytorch_mppi eager and compiled.
+"""Peers of the MPPI benchmark, each in a process with its own interpreter: NumPy, pytorch_mppi eager and compiled.
 
-Run by `mppi`: python peers.py ENGINE SAMPLES HORIZON ACTIVATION THREADS SEED DEVICE. It says one line of JSON when it
-is ready, then answers each number n on its input with the seconds of n control steps. It needs NumPy, and for
-pytorch_mppi also ``pip install torch pytorch-mppi``; nothing of this package but the file beside it.
+`mppi` runs: python peers.py ENGINE SAMPLES HORIZON ACTIVATION THREADS SEED DEVICE. The program prints one line of JSON
+when it is ready. It then answers each number n on its input with the durations of n control steps. It needs NumPy and
+the file `mppi_problem` beside it; pytorch_mppi also needs ``pip install torch pytorch-mppi``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = Any
 
 
 def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Callable[[], Any]:
-    """MPPI as one writes it in NumPy."""
+    """The step of the common problem in plain NumPy."""
     problem = work.draw(seed)
     rng = np.random.default_rng(seed + 1)
 
@@ -62,7 +62,7 @@ def numpy_engine(samples: int, horizon: int, activation: str, seed: int) -> Call
 def torch_engine(
     samples: int, horizon: int, activation: str, seed: int, *, threads: int, device: str, compiled: bool
 ) -> Callable[[], Any]:
-    """pytorch_mppi's own controller on the same networks and cost; ``device`` is cpu or cuda."""
+    """The step of pytorch_mppi's own controller on the same networks and cost. ``device`` is cpu or cuda."""
     import torch
     from pytorch_mppi import MPPI
 
@@ -110,7 +110,7 @@ def torch_engine(
     if compiled:
         controller.compile()
     x0 = torch.from_numpy(problem.x0).to(device)
-    # torch.compile does not take inference mode.
+    # torch.compile does not support inference mode.
     mode = torch.no_grad if compiled else torch.inference_mode
 
     def step() -> Array:
@@ -121,7 +121,7 @@ def torch_engine(
 
 
 def gemm(size: int) -> Callable[[], Any]:
-    """One float32 matrix product, for the machine's rate."""
+    """A step that computes one float32 matrix product, which gives the rate of the machine."""
     rng = np.random.default_rng(0)
     a, b = rng.random((size, size), dtype=np.float32), rng.random((size, size), dtype=np.float32)
     out = np.empty((size, size), np.float32)
@@ -129,7 +129,13 @@ def gemm(size: int) -> Callable[[], Any]:
 
 
 def serve(step: Callable[[], Any], about: dict[str, Any], compiled: Callable[[], int] = lambda: 0) -> None:
-    """Say what is ready, then time n steps for every n that comes in."""
+    """Print ``about`` as JSON, then time n steps for every n on the input.
+
+    Args:
+        step: one control step.
+        about: facts about the engine.
+        compiled: number of programs that have been compiled since the engine was ready.
+    """
     print(json.dumps(about), flush=True)
     for line in sys.stdin:
         seconds = []

@@ -44,7 +44,7 @@ SWEEPS = {"samples": "S", "horizon": "T", "problems": "problems in one call"}
 
 
 def control_step(result: ExperimentResult) -> str:
-    """Every engine's time, over pytorch_mppi's and over the ideal, and what else has a target."""
+    """Table of every engine's time, also relative to pytorch_mppi and to the ideal, with further ratios below it."""
     found = {k: v for k in ENGINES if (v := result.metrics.get(k)) is not None}
     eager, ideal = found.get("pytorch_mppi_eager_ms"), found["ideal_ms"]
 
@@ -73,7 +73,7 @@ def _sweep(result: ExperimentResult, kind: str, label: str) -> str:
 
 
 def demo(result: ExperimentResult) -> str:
-    """The parts of the demo's time, warm, as bars."""
+    """Table of the demo's time by part with a warm compilation cache, with bars."""
     warm = [row for row in result.rows if row["cache"] == "warm"]
     rows = [[r["name"], f"{r['s']:.1f}", f"{r['share']:.0%}", "█" * round(40 * r["share"])] for r in warm]
     m = result.metrics
@@ -83,7 +83,7 @@ def demo(result: ExperimentResult) -> str:
 
 
 def navigation(result: ExperimentResult) -> str:
-    """Time of a trial over the time that it simulates, and each part's ms per sample, with a row per place."""
+    """Table with a row per place: time of a trial over its simulated time, and ms per sample of each part."""
     ms = {(row["part"], row["place"]): row["ms_per_sample"] for row in result.rows}
     places = list(dict.fromkeys(place for _, place in ms))
     parts = sorted({part for part, _ in ms}, key=lambda part: -sum(ms.get((part, place), 0.0) for place in places))
@@ -95,7 +95,7 @@ def navigation(result: ExperimentResult) -> str:
 
 
 def batches(result: ExperimentResult) -> str:
-    """Steps of a batch of worlds per second, beside C MuJoCo."""
+    """Table of steps per second of batches of worlds, and of C MuJoCo."""
     rows = [
         [row["engine"], *(str(row.get(k, "")) for k in ("batch", "threads", "state")), f"{row['steps_per_s']:,}"]
         for row in result.rows
@@ -105,7 +105,7 @@ def batches(result: ExperimentResult) -> str:
 
 
 def rollouts(result: ExperimentResult) -> str:
-    """Cost and time of every variant."""
+    """Table of the cost and time of every variant."""
     from .rollouts import as_table, summary
 
     pushes = [row for row in result.rows if "cost_m" in row]
@@ -121,11 +121,11 @@ BLOCKS: dict[str, tuple[tuple[str, ...], Callable[[ExperimentResult], str]]] = {
     "navigation": (("bench_navigation.json",), navigation),
     "roll-outs": (("rollouts.json",), rollouts),
 }
-"""Name of a block of the page to the results that it may be of, the best first, and what makes it."""
+"""Result files of each block of the page by name, the preferred one first, and the function that writes the block."""
 
 
 def page(text: str) -> str:
-    """The page with each block as its result says; blocks without a result stay as they are."""
+    """The page with each block written from its result. Blocks without a result do not change."""
     for name, (files, make) in BLOCKS.items():
         there = [RESULTS / file for file in files if (RESULTS / file).is_file()]
         if there:

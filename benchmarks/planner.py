@@ -1,9 +1,9 @@
-"""How long the navigator thinks per sample of 0.1 s, by what it does; its planning stage; and global paths.
+"""Time of the navigator per sample of 0.1 s by state, of its planning stage, and of global paths.
 
-A demo is run as it is, twice, and the second run counts: nothing is compiled in it. A tick is all between an
-observation and the command for it: belief, paths, local trajectory, adaptation, MPPI. A tick with a planning stage
-(Algorithm 1: 500 roll-outs of 5 s, collision checks) is counted apart. Global paths are planned in the demo's building
-and, with ``--maps``, on each map of a folder; beside them pyastar2d, where it is installed.
+A demo runs twice. The second run counts, because nothing compiles in it. A tick is everything between an observation
+and its command: belief, paths, local trajectory, adaptation, MPPI. A tick with a planning stage (Algorithm 1: 500
+roll-outs of 5 s, collision checks) is counted separately. Global paths are planned in the demo's building and, with
+``--maps``, on each map of a folder. If pyastar2d is installed, it plans the same paths.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from .registry import BenchOptions, Measured
 PLANNING = "planning stage"
 DEMO = "demo building"
 COLUMNS = ("ms", "same_goal_ms", "with_a_box_ms", "length_m", "pyastar2d_ms", "pyastar2d_length_m")
-"""Of a pair: the time of its first path, of the same again, of one round a box on it; its length; the peer's."""
+"""Measures of a pair of places: time of its first path, of the same path again, and of a path round a box on it;
+length of the first path; time and length of the peer's path."""
 
 
 @dataclass(frozen=True)
@@ -39,19 +40,19 @@ class PlannerSizes:
     """Sizes of the benchmark."""
 
     time_s: float = 180.0
-    """Longest simulated time of a run [s]."""
+    """Maximum simulated time of a run [s]."""
     paths: int = 100
-    """Pairs of places on each map, between which a global path is planned."""
+    """Number of pairs of places on each map between which a global path is planned."""
 
 
 FULL = PlannerSizes()
 QUICK = PlannerSizes(time_s=16.0, paths=5)
-"""Until a little after the first touch."""
+"""Sizes whose run ends shortly after the first contact."""
 
 
 @dataclass
 class _Clock:
-    """Takes the time of every tick of a run by the hooks before and after it."""
+    """Measures the time of every tick of a run, with the hooks before and after it."""
 
     ticks: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     began: float = 0.0
@@ -73,7 +74,7 @@ class _Clock:
 
 
 def run(cfg: PlannerSizes, options: BenchOptions) -> Measured:
-    """Run, then count."""
+    """Times of the demo's ticks and of global paths on each map."""
     grid, scenario = demo_scenario(options.seed)
     scenario = scenario.model_copy(update={"limits": Limits(time_s=cfg.time_s)})
     ticks = _ticks(cfg, grid, scenario, options)
@@ -94,7 +95,7 @@ def run(cfg: PlannerSizes, options: BenchOptions) -> Measured:
 
 
 def _ticks(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario, options: BenchOptions) -> dict[str, list[float]]:
-    """Seconds of every tick of the second run, by state."""
+    """Durations of all ticks of the second run by state [s]."""
     from shmoo_mjx.base.assets import WEIGHTS, asset
     from shmoo_mjx.control.pushing import PushController
     from shmoo_mjx.learning.weights import load_weights
@@ -114,10 +115,10 @@ def _ticks(cfg: PlannerSizes, grid: OccupancyGrid, scenario: Scenario, options: 
 
 
 def _paths(place: str, grid: OccupancyGrid, pairs: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A row, and its metrics, of global paths between random pairs of one room, ours beside pyastar2d's by turns."""
+    """The row and the metrics of global paths between random pairs of places in one room, of ours and of pyastar2d."""
     field = distance_field(grid)
     rows = np.array([_query(grid, field, ends) for ends in _pairs(field, pairs)])
-    # A column without any number: the peer is not installed.
+    # A column is empty if the peer is not installed.
     there = ~np.isnan(rows).all(axis=0)
     median, p90 = np.full((2, rows.shape[1]), np.nan)
     median[there], p90[there] = np.nanmedian(rows[:, there], axis=0), np.nanquantile(rows[:, there], 0.9, axis=0)
@@ -132,7 +133,7 @@ def _paths(place: str, grid: OccupancyGrid, pairs: int) -> tuple[dict[str, Any],
 
 
 def _query(grid: OccupancyGrid, field: DistanceField, ends: np.ndarray) -> list[float]:
-    """The numbers of `COLUMNS` for one pair of cells."""
+    """The values of `COLUMNS` for one pair of cells."""
     start, goal = grid.cell_to_world(ends)
     first, path = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, wall_clearance=field))
     again, _ = _timed(lambda: plan_path(grid, start, goal, robot_radius=ROBOT_RADIUS, wall_clearance=field))
@@ -151,7 +152,7 @@ def _query(grid: OccupancyGrid, field: DistanceField, ends: np.ndarray) -> list[
 
 
 def _pairs(field: DistanceField, count: int) -> np.ndarray:
-    """Cells ``[count, 2, 2]``: start and goal within the largest room."""
+    """Random cells ``[count, 2, 2]``: start and goal within the largest room."""
     from scipy import ndimage
 
     labels, _ = ndimage.label(field.values > ROBOT_RADIUS + field.resolution)
@@ -160,8 +161,8 @@ def _pairs(field: DistanceField, count: int) -> np.ndarray:
 
 
 def _timed[T](work: Callable[[], T]) -> tuple[float, T]:
-    """Processor time [ms], which a busy machine spoils less than the clock, and the answer; both engines have one
-    thread."""
+    """Processor time of ``work`` [ms], and its result. A busy machine affects it less than wall-clock time, and both
+    planners have one thread."""
     began = time.thread_time()
     answer = work()
     return 1e3 * (time.thread_time() - began), answer

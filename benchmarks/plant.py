@@ -1,6 +1,6 @@
-"""Steps per second of the plant with its control: C MuJoCo and MJX, by scene and batch.
+"""Steps per second of the plant with its low-level control: C MuJoCo and MJX, by scene and batch size.
 
-One step is 2 ms with its control. On a CPU, MJX parts the worlds over the devices that JAX sees.
+One step is 2 ms and includes its control. On a CPU, MJX distributes the worlds over the devices that JAX sees.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 SCENES = ("robot", "box", "cart", "wheelchair", "room")
 WORLDS = 256
-"""Worlds per batch of the C engine: enough for two threads to part."""
+"""Worlds per batch of the C engine, enough to keep two threads busy."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class PlantSizes:
 
     scenes: tuple[str, ...] = SCENES
     batches: tuple[int, ...] = (64, 512)
-    """Worlds of MJX."""
+    """Numbers of worlds for MJX."""
     seconds: float = 3.0
-    """For which each rate is measured, at least."""
+    """Minimum time for which each rate is measured [s]."""
 
 
 FULL = PlantSizes()
@@ -50,14 +50,14 @@ GPU = PlantSizes(scenes=("cart",), batches=(512, 8192))
 
 
 def run(cfg: PlantSizes, options: BenchOptions) -> Measured:
-    """Every scene on both engines. The scenes are fixed; the seed draws nothing."""
+    """Rates of every scene on both engines. The scenes are fixed, so the seed has no effect."""
     rows: list[Row] = []
     warp = jax.default_backend() == "gpu" and importlib.util.find_spec("warp") is not None
     for done, name in enumerate(cfg.scenes):
         options.progress(f"C MuJoCo, {name}", done / len(cfg.scenes))
         here = c_rows(name, usable_cores(), cfg.seconds)
         rates = {(row["state"], row["threads"]): row["steps_per_s"] for row in here}
-        # Six objects cost a CPU the same time in every world: 512 worlds hold it up for over ten minutes.
+        # On a CPU, the time of six objects grows with the number of worlds: 512 worlds take more than ten minutes.
         batches = cfg.batches[:1] if name == "room" and jax.default_backend() == "cpu" else cfg.batches
         for i, batch in enumerate(batches):
             options.progress(f"MJX, {name}, {batch} worlds", (done + (i + 1) / (len(batches) + 1)) / len(cfg.scenes))
@@ -80,7 +80,8 @@ def _metrics(row: Row) -> dict[str, float]:
 
 
 def scene_of(name: str, engine: Literal["mujoco", "mjx"]) -> Scene:
-    """The robot, 5 cm in front of it one object; or a room with six."""
+    """The scene ``name``: the robot alone, the robot with one object 5 cm in front of its extended hands, or a room
+    with six objects."""
     if name == "robot":
         return build_scene(engine=engine)
     if name != "room":
@@ -92,7 +93,7 @@ def scene_of(name: str, engine: Literal["mujoco", "mjx"]) -> Scene:
 
 
 def _best(run: Any, steps: int, seconds: float) -> float:
-    """Steps per second of the fastest repetition: neighbours only ever slow one down."""
+    """Steps per second of the fastest repetition, because other processes can only slow a repetition down."""
     best, spent, repetitions = np.inf, 0.0, 0
     while spent < seconds or repetitions < 3:
         started = time.perf_counter()
@@ -103,7 +104,10 @@ def _best(run: Any, steps: int, seconds: float) -> float:
 
 
 def _physics(scene: Any, threads: int, seconds: float) -> float:
-    """C MuJoCo alone, with constant torques and one call for half a second: the most that threads can reach."""
+    """Steps per second of C MuJoCo alone, with constant torques and one call for half a second.
+
+    This is the upper limit for the number of threads.
+    """
     worlds, steps = 32, 250
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.qpos0
@@ -121,7 +125,7 @@ def _wanted(worlds: int) -> Any:
 
 
 def _pushing(engine: Any, worlds: int) -> Any:
-    """The worlds after one second: the hands touch, as they do in use."""
+    """The worlds after 1 s of leaning forward, when the hands touch the object as in use."""
     world = engine.init()
     for _ in range(10):
         world, _ = engine.step(world, _wanted(worlds))
@@ -129,7 +133,8 @@ def _pushing(engine: Any, worlds: int) -> Any:
 
 
 def c_rows(name: str, threads: int, seconds: float) -> list[Row]:
-    """C MuJoCo with one thread and with ``threads``, by turns, so that a busy machine slows both alike."""
+    """Rows of C MuJoCo with one thread and with ``threads``. They take turns, so that a busy machine slows both
+    alike."""
     scene = scene_of(name, "mujoco")
     engines = {n: MujocoEngine([scene] * WORLDS, threads=n) for n in sorted({1, threads})}
     starts = {"standing": engines[1].init(), "pushing": _pushing(engines[1], WORLDS)}
@@ -161,7 +166,15 @@ def mjx_rows(
     *,
     impl: Literal["jax", "warp"] = "jax",
 ) -> list[Row]:
-    """MJX with ``batch`` worlds, standing and pushing, beside the rates of C MuJoCo."""
+    """Rows of MJX with ``batch`` worlds, standing and pushing.
+
+    Args:
+        name: one of `SCENES`.
+        batch: number of worlds.
+        seconds: minimum time of each measurement [s].
+        c_rates: steps per second of C MuJoCo by state and number of threads, for the ratios.
+        impl: implementation of MJX.
+    """
     engine = MjxEngine([scene_of(name, "mjx")] * batch, impl=impl)
     started = time.perf_counter()
     jax.block_until_ready(engine.step(engine.init(), _wanted(batch)))

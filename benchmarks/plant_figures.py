@@ -36,7 +36,7 @@ def _save(figure: Any, name: str) -> None:
 
     raw = io.BytesIO()
     figure.savefig(raw, dpi=110, bbox_inches="tight")
-    # A palette of 64 colours is a quarter of the size and looks the same.
+    # A palette of 64 colours needs a quarter of the space and looks the same.
     picture = Image.open(raw).convert("RGB").quantize(64)
     part = FIGURES / f"{name}.part.png"
     picture.save(part, optimize=True)
@@ -49,6 +49,7 @@ def _during(start: float, end: float, value: Any, otherwise: Any) -> Callable[[f
 
 
 def robot_figure(plt: Any) -> None:
+    """Draw plant_robot.png: pushes from all sides, velocity steps, a lean step, and the feed-forward of the arms."""
     figure, axes = plt.subplots(1, 4, figsize=(15, 3.4), layout="constrained")
     scene = build_scene()
     single, many = MujocoEngine([scene]), MujocoEngine([scene] * 16)
@@ -146,6 +147,7 @@ def _eight() -> list[tuple[str, Condition]]:
 
 
 def objects_figure(plt: Any) -> None:
+    """Draw plant_objects.png: the motion of eight objects under the same push."""
     figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained", sharex=True, sharey=True)
     push = np.zeros((1000, 3))
     push[:200] = 60.0, 0.0, 2.0
@@ -165,6 +167,7 @@ def objects_figure(plt: Any) -> None:
 
 
 def wrench_figure(plt: Any) -> None:
+    """Draw plant_wrench.png: the wrench from contacts and from joint torques, and the momentum balance."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 3.4), layout="constrained")
     condition = draw_condition("box", 1, {"mass": 12.0, "payload": 0.0, "friction": 0.3})
     scene = build_scene([(condition, (REACH + 0.14 + condition.half_extents[0], 0.06, 0.0))])
@@ -202,6 +205,7 @@ def wrench_figure(plt: Any) -> None:
 
 
 def senses_figure(plt: Any) -> None:
+    """Draw sensing_push.png: pose, velocity and force of an object, true and as the robot perceives them."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.4), layout="constrained")
     condition = draw_condition("box", 1, {"mass": 9.0, "payload": 0.0, "friction": 0.35})
     place = (REACH + 0.12 + condition.half_extents[0], 0.03, 0.1)

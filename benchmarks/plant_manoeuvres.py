@@ -34,9 +34,9 @@ MASS = shmoobot().upper_mass + shmoobot().ball_mass
 CMU_MASS = 51.66 + 2.44
 SCALE = MASS / CMU_MASS
 ROBOTS = 5
-"""Proxy robots per manoeuvre: seeds 0 to 4."""
+"""Number of proxy robots per manoeuvre, with seeds 0 to 4."""
 FORCES = {4.6: 0.23, 11.5: 0.50, 20.4: 0.82}
-"""Constant pushes [N] of the CMU ballbot, and its speed after 5 s [m/s]."""
+"""Constant pushes of the CMU ballbot [N], and its speed after 5 s [m/s]."""
 PUBLISHED = {
     "station: position error, largest [mm]": "ballbot 20",
     "circle 0.4 m/s: position error, largest [mm]": "Newton example 179",
@@ -47,7 +47,8 @@ _CHUNK = 100
 
 
 class Wish(NamedTuple):
-    """Where the robot is to be, in {W}; without ``position`` only its velocity is held, with nothing it balances."""
+    """Desired motion of the robot in {W}. Without ``position`` only the velocity is controlled, and without
+    ``velocity`` the commanded lean is zero."""
 
     position: Any = None
     velocity: Any = None
@@ -58,7 +59,7 @@ Reference = Callable[[float], Wish]
 
 
 class Track(NamedTuple):
-    """The true motion ``[T, W, ...]`` and who has fallen ``[W]``."""
+    """True motion ``[T, W, ...]``, and which robots have fallen ``[W]``."""
 
     time: np.ndarray
     pose: np.ndarray
@@ -75,7 +76,16 @@ def follow(
     *,
     push: Callable[[float], Any] = lambda t: None,
 ) -> Track:
-    """Drive every world by what its robot perceives: flat feed-forward with feedback, as in navigation."""
+    """The motion of robots that follow a reference: flat feed-forward with feedback on what they perceive, as in
+    navigation.
+
+    Args:
+        scenes: scene of each world.
+        senses: sensing of the robots.
+        seconds: duration [s].
+        wish: reference, a function of time.
+        push: external wrenches on the robots, a function of time.
+    """
     rows: list[Observation] = []
     fallen = np.zeros(len(scenes), dtype=bool)
     with SensedEngine(scenes, senses, list(range(len(scenes)))) as engine:
@@ -115,7 +125,10 @@ def _lean(wish: Reference, time: float, seen: Observation) -> np.ndarray:
 
 
 def curve(shape: Callable[[float], np.ndarray], rate: float) -> Reference:
-    """Along ``shape`` (angle -> point), whose angle comes up to ``rate`` [rad/s] in 4 s; derivatives by differences."""
+    """Reference along ``shape`` (angle -> point). The rate of the angle rises to ``rate`` [rad/s] within 4 s.
+
+    Velocity and acceleration are finite differences.
+    """
 
     def at(time: float) -> np.ndarray:
         ramp = 4.0
@@ -131,18 +144,22 @@ def curve(shape: Callable[[float], np.ndarray], rate: float) -> Reference:
 
 
 def circle(angle: float) -> np.ndarray:
+    """Point ``[2]`` of the unit circle [m]."""
     return np.array([np.cos(angle), np.sin(angle)])
 
 
 def eight(angle: float) -> np.ndarray:
+    """Point ``[2]`` of a figure eight that is 2 m long and 1 m wide [m]."""
     return np.array([np.sin(angle), 0.5 * np.sin(2 * angle)])
 
 
 def stand(time: float) -> Wish:
+    """Reference that stays at the origin."""
     return Wish((0.0, 0.0), (0.0, 0.0))
 
 
 def robots(senses: Senses, count: int) -> list[Scene]:
+    """Scenes of ``count`` robots, each with parameters of its own."""
     return [build_scene(adjust=senses.adjust(seed)) for seed in range(count)]
 
 
@@ -151,7 +168,11 @@ def _during(start: float, end: float, force: np.ndarray) -> Callable[[float], An
 
 
 def manoeuvres(senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
-    """Numbers of one kind of robot, the worst of all, and the tracks for the figure."""
+    """Numbers of one kind of robot, and the tracks for the figure.
+
+    Largest errors, leans, times and ways are those of the worst robot. RMS errors are over all robots, speeds after a
+    constant push are medians, and falls are counted.
+    """
     count = 1 if senses.perfect else ROBOTS
     scenes, numbers, tracks = robots(senses, count), dict[str, Any](), dict[str, Track]()
     wishes: dict[str, tuple[Reference, float]] = {
@@ -190,13 +211,18 @@ def manoeuvres(senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
 
 
 def table(nominal: dict[str, Any], proxy: dict[str, Any]) -> str:
-    """The numbers of the nominal robot, and of the worst of the proxy robots, beside what others publish."""
+    """Markdown table of the numbers of the nominal robot, of the worst proxy robot, and of published ones."""
     lines = [[name, f"{nominal[name]:.3g}", f"{proxy[name]:.3g}", PUBLISHED.get(name, "")] for name in nominal]
     return markdown_table(["", "nominal", f"worst of {ROBOTS} proxy robots", "published"], lines)
 
 
 def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest impulse of 0.1 s [N s] survived, ``[heights, directions]``, all smaller ones survived too."""
+    """Largest impulse of 0.1 s that the robot survives, by height and direction.
+
+    Returns:
+        Heights above the floor [m], directions [rad], and impulses ``[heights, directions]`` [N s]. The robot survives
+        all smaller tested impulses too.
+    """
     heights, angles, sizes = np.array([0.3, 0.6, 1.0]), np.deg2rad([0, 45, 90, 135, 180]), np.arange(10.0, 151.0, 10.0)
     grid = np.array([(h, a, s) for h in heights for a in angles for s in sizes])
     scenes = [build_scene(adjust=senses.adjust(0))] * len(grid)
@@ -212,7 +238,7 @@ def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def envelope_scene(seed: int) -> tuple[Scene, dict[str, float]]:
-    """A proxy robot on a floor of its own: slope to 3 deg, a step of up to 5 mm 0.6 m ahead, friction 0.2 to 1."""
+    """A proxy robot on a random floor: slope up to 3 deg, a step of up to 5 mm 0.6 m ahead, friction 0.2 to 1."""
     rng = np.random.default_rng([29, seed])
     drawn = {
         "slope": float(np.deg2rad(rng.uniform(0, 3))),
@@ -238,7 +264,10 @@ def envelope_scene(seed: int) -> tuple[Scene, dict[str, float]]:
 
 
 def envelope(first: int) -> list[dict[str, Any]]:
-    """Over the step at 0.4 m/s, a stop, and a push of up to 5 N s from any side while standing; a chunk of worlds."""
+    """The rows of a chunk of worlds, with the seeds from ``first`` on.
+
+    The robot drives over the step at 0.4 m/s, stops, and gets a push of up to 5 N s from any side while standing.
+    """
     count = _CHUNK
     worlds = [envelope_scene(seed) for seed in range(first, first + count)]
     rng = np.random.default_rng([31, first])
@@ -251,7 +280,7 @@ def envelope(first: int) -> list[dict[str, Any]]:
 
 
 def survey(count: int, out: Path, workers: int) -> None:
-    """Print how many worlds of the envelope fell; each chunk leaves a file, of this code and no other."""
+    """Print how many robots fell in the worlds of the envelope. Finished chunks are kept by fingerprint of the code."""
     chunks = {f"{first:05d}": first for first in range(0, count, _CHUNK)}
     code = fingerprint("shmoo_mjx.sensing.engine", {"chunk": _CHUNK}, Path(__file__))
     report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
@@ -261,6 +290,7 @@ def survey(count: int, out: Path, workers: int) -> None:
 
 
 def draw(tracks: dict[str, Track], most: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
+    """Draw plant_manoeuvres.png from the tracks of `manoeuvres` and the result of `impulses`."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -291,6 +321,7 @@ def draw(tracks: dict[str, Track], most: tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def main() -> None:
+    """Print the table and draw the figure, or survey the envelope."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=0, help="randomised worlds of the envelope, in hundreds")
     parser.add_argument("--workers", type=int, default=2, help="processes")

@@ -22,15 +22,15 @@ from shmoo_mjx.plant.trials import object_alone
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SETTLE, _PUSH, _TOTAL = 1.0, 1.0, 10.0
-"""Seconds at rest first, under the push, and in all after settling."""
+"""Durations of settling, of the push, and of the whole run after settling [s]."""
 _SEGMENT = 1.0
-"""Worlds that stand still at the end of a segment are not stepped further: nothing acts on them any more [s]."""
+"""Length of a segment [s]. After the push, worlds at rest at the end of a segment are not stepped further."""
 _CHUNK = 100
-"""Conditions of a family that are one trial and one file."""
+"""Number of conditions of a family in one trial and its file."""
 
 
 def outcomes(trial: tuple[str, int]) -> list[dict[str, Any]]:
-    """What becomes of a chunk of conditions of a family, each under one random push of 10 to 60 N."""
+    """The rows of a chunk of conditions of a family: the outcome of each under one random push of 10 to 60 N."""
     family, first = trial
     models = [object_alone(draw_condition(family, seed)) for seed in range(first, first + _CHUNK)]
     verdicts = _outcomes(models, np.random.default_rng([0, FAMILIES.index(family), first]))
@@ -38,7 +38,7 @@ def outcomes(trial: tuple[str, int]) -> list[dict[str, Any]]:
 
 
 def survey(count: int, workers: int, out: Path) -> None:
-    """Print a line of JSON for each family: how often each outcome came, and the seeds that failed."""
+    """Print a line of JSON for each family: the count of each outcome, and the seeds that failed."""
     report = lambda what, done: print(f"{what}, {done:.0%}", flush=True)  # noqa: E731
     for family in FAMILIES:
         chunks = {f"{family}-0-{first:05d}": (family, first) for first in range(0, count, _CHUNK)}
@@ -49,11 +49,11 @@ def survey(count: int, workers: int, out: Path) -> None:
 
 
 def _wrenches(models: list[mujoco.MjModel], rng: np.random.Generator) -> np.ndarray:
-    """Random pushes ``[W, 6]`` at the objects' centres of mass."""
+    """Random wrenches ``[W, 6]`` at the objects' centres of mass [N, N m]."""
     worlds = len(models)
     mass = np.array([m.body_subtreemass[m.body("object0/object").id] for m in models])
     angle = rng.uniform(-np.pi, np.pi, worlds)
-    # At most 10 m/s^2, or a light box would be shot rather than pushed.
+    # Limit the acceleration to 10 m/s^2, because a light box would fly off otherwise.
     force = np.minimum(rng.uniform(10, 60, worlds), 10 * mass)
     zero, turn = np.zeros(worlds), np.minimum(rng.uniform(-5, 5, worlds), mass)
     return np.stack([force * np.cos(angle), force * np.sin(angle), zero, zero, zero, turn], axis=-1)
@@ -94,7 +94,7 @@ def _outcomes(models: list[mujoco.MjModel], rng: np.random.Generator) -> list[st
 def _judge(qpos: np.ndarray, qvel: np.ndarray, settling: bool) -> str:
     speed = np.linalg.norm(qvel[:, :3], axis=-1)
     tilt = 1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2)
-    # Only its sole meets the floor: what happens after an object has toppled is not physics any more.
+    # Only the sole of an object collides with the floor, so its motion after toppling is not physical.
     upright = slice(0, np.argmax(tilt < 0.8) if (tilt < 0.8).any() else len(tilt))
     finite = np.isfinite(qpos[upright]).all() and np.isfinite(qvel[upright]).all()
     if not finite or speed[upright].max(initial=0) > 20 or np.abs(qpos[upright, 2]).max(initial=0) > 0.3:
@@ -107,7 +107,10 @@ def _judge(qpos: np.ndarray, qvel: np.ndarray, settling: bool) -> str:
 
 
 def robots(count: int) -> None:
-    """Print the falls among randomised robots in MJX, each pushed by up to 20 N x 0.5 s from any side, arms out."""
+    """Print the falls among ``count`` randomised robots in MJX.
+
+    Each robot has its arms out and is pushed with up to 20 N for 0.5 s from any side.
+    """
     import jax
 
     from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH

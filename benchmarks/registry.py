@@ -1,7 +1,7 @@
-"""The benchmarks by name. A benchmark is a module with three names, imported only when it runs.
+"""Benchmarks by name. A benchmark is a module that is imported only when it runs.
 
-``FULL`` and ``QUICK`` are its sizes, and ``run(config, options) -> Measured`` measures. ``GPU``, where a module has it,
-takes the place of ``FULL`` on a machine with a graphics card.
+The module has the sizes ``FULL`` and ``QUICK``, and the function ``run(config, options) -> Measured``. If it has
+``GPU``, these sizes replace ``FULL`` on a machine with a graphics card.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class BenchOptions:
     """Options of a run of a benchmark."""
 
     quick: bool = False
-    """A short form of the same shape."""
+    """Whether to measure the short form."""
     peers_python: Path | None = None
     """Interpreter that has the peers installed (default: the one that runs this)."""
     seed: int = 0
-    """Of made-up weights and noise."""
+    """Seed of random weights and noise."""
     progress: Callable[[str, float], None] = lambda stage, fraction: None
     """Called with (stage, fraction done)."""
     maps: Path | None = None
@@ -42,19 +42,28 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a benchmark has measured."""
+    """Result of a benchmark."""
 
     metrics: dict[str, Any]
     rows: list[dict[str, Any]]
     setup: dict[str, Any] = field(default_factory=dict)
-    """What the result's config holds beside the sizes."""
+    """Entries of the result's config in addition to the sizes."""
     paper: dict[str, float] = field(default_factory=dict)
-    """Numbers of others, by the names of the metrics that they compare with."""
+    """Published numbers, by the names of the metrics that they compare with."""
 
 
 @single_precision
 def run_benchmark(name: str, options: BenchOptions, sizes: Any = None) -> ExperimentResult:
-    """Run one benchmark, of other ``sizes`` than its own if given; its config says on which machine."""
+    """Run one benchmark. The config of its result contains the machine.
+
+    Args:
+        name: one of `BENCHMARKS`.
+        options: options of the run.
+        sizes: sizes in place of those of the benchmark, or None.
+
+    Raises:
+        ShmooError: the name is unknown.
+    """
     if name not in BENCHMARKS:
         names = ", ".join(BENCHMARKS)
         raise ShmooError(f"benchmark {name!r} is not known; choose one of {names}, all or compare.")
@@ -67,7 +76,11 @@ def run_benchmark(name: str, options: BenchOptions, sizes: Any = None) -> Experi
 
 
 def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
-    """Every benchmark in turn, each with its own file in ``out``; the result holds them all, names before metrics."""
+    """Run every benchmark in turn, and write a file for each to ``out``.
+
+    Returns:
+        One result of all benchmarks. The name of a metric starts with that of its benchmark.
+    """
     every, settings = Measured({}, []), dict[str, Any]()
     for done, name in enumerate(BENCHMARKS):
 
@@ -96,14 +109,14 @@ def _on_gpu() -> bool:
 
 
 def describe(result: ExperimentResult) -> str:
-    """The metrics, what was left out, and the machine, as text."""
+    """The metrics, the reasons for absent peers, and the machine, as text."""
     absent = [str(row["absent"]) for row in result.rows if "absent" in row]
     made = result.config["machine"]
     return "\n".join([table(result), *absent, f"{made['processor']}, {made['cores']} cores, {made['device']}"])
 
 
 def machine() -> dict[str, str | int]:
-    """What two results must have in common to be compared."""
+    """Properties of the machine, which two results must share to be compared."""
     import jax
 
     return {"processor": _processor(), "cores": usable_cores(), "device": jax.devices()[0].device_kind}

@@ -39,26 +39,27 @@ from .registry import machine
 from .workers import Worker, usable_cores
 
 KINDS = ("shipped", "white", "sobol", "spline")
-"""Coloured noise, as shipped; independent noise; the shipped noise from a low-discrepancy sequence; independent knots
-with a smooth curve through them. All of them come in mirrored pairs."""
+"""Kinds of noise: coloured noise as shipped; independent noise; the shipped noise from a low-discrepancy sequence;
+independent knots with a smooth curve through them. All kinds come in mirrored pairs."""
 ROLLOUTS = (500, 128, 64, 256, 32, 1000)
 COMPARED = (500, 128)
-"""Roll-outs with which the other kinds of noise are tried."""
+"""Numbers of roll-outs with which the other kinds of noise are compared."""
 HORIZONS = ((64, 20), (128, 10), (128, 20), (128, 50), (500, 20))
-"""(S, T) of the shipped noise beside T = 30."""
+"""Pairs (S, T) of the shipped noise, in addition to those with T = 30."""
 KNOTS = 6
 MODULE = "benchmarks.rollouts"
 YAW_WEIGHT = 0.6
-"""Metres that a yaw error of 1 rad counts for, as in the cost of a push to a pose [m/rad]."""
+"""Position error that a yaw error of 1 rad equals, as in the cost of a push to a pose [m/rad]."""
 
 Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Noise(MppiConfig):
-    """MPPI's settings with another kind of noise of the same standard deviation."""
+    """Settings of MPPI with another kind of noise of the same standard deviation."""
 
     kind: str = KINDS[0]
+    """One of `KINDS`."""
 
 
 @bank.register
@@ -71,7 +72,7 @@ def _(cfg: Noise) -> np.ndarray:
     if cfg.kind == "sobol":
         steps = np.arange(cfg.horizon)
         values, vectors = np.linalg.eigh(cfg.noise_correlation ** np.abs(steps[:, None] - steps))
-        # Largest components first: the sequence's first dimensions are its best.
+        # The largest components come first, because the first dimensions of the sequence are its best.
         shape = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1]
         drawn = _sobol(count, cfg.horizon * cfg.controls)
     else:
@@ -82,7 +83,7 @@ def _(cfg: Noise) -> np.ndarray:
 
 
 def _sobol(count: int, dimensions: int) -> np.ndarray:
-    """Normal numbers ``[count, dimensions]`` from Sobol's sequence."""
+    """Standard normal numbers ``[count, dimensions]`` from Sobol's sequence."""
     from scipy.stats import norm, qmc
 
     sequence = qmc.Sobol(dimensions, scramble=True, rng=0)
@@ -91,7 +92,7 @@ def _sobol(count: int, dimensions: int) -> np.ndarray:
 
 
 def _spline(horizon: int) -> np.ndarray:
-    """``[T, KNOTS]`` weights of the knots in a cubic spline, of unit variance at each step."""
+    """Weights ``[T, KNOTS]`` of the knots in a cubic spline, with unit variance at each step."""
     from scipy.interpolate import CubicSpline
 
     weights = CubicSpline(np.linspace(0, 1, KNOTS), np.eye(KNOTS))(np.linspace(0, 1, horizon))
@@ -100,7 +101,7 @@ def _spline(horizon: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to plan."""
+    """Noise, number of roll-outs and horizon of a planner."""
 
     kind: str
     rollouts: int
@@ -108,11 +109,11 @@ class Variant:
 
     @property
     def name(self) -> str:
-        """Short, unique, good as a file name."""
+        """Short unique name, which serves as a file name."""
         return f"{self.kind}-S{self.rollouts}-T{self.horizon}"
 
     def config(self) -> Any:
-        """The settings of a push to a pose, planned in this way."""
+        """The settings of a push to a pose with this variant."""
         base = pose_push_config()
         control = asdict(base.control) | {"num_rollouts": self.rollouts, "horizon": self.horizon, "kind": self.kind}
         return replace(base, control=Noise(**control))
@@ -127,13 +128,13 @@ VARIANTS = (
 
 
 def draw(condition_seed: int, runs: int) -> list[Trial]:
-    """Trials of both strata, ``runs`` objects of each family in each, to the two goals that ask for steering."""
+    """Trials of all strata, with ``runs`` objects of each family, to the two goals that need steering."""
     first = ExperimentOptions(condition_seed=condition_seed).first_unseen
     return [trial for stratum in STRATA for trial in draw_trials(first, 0, runs, goals=(2, 3), stratum=stratum)]
 
 
 def push(trials: list[Trial], variant: Variant) -> list[Row]:
-    """The rows of all trials of one variant; ``cost_m`` is the error of the final pose as the cost of a push has it."""
+    """The rows of all trials of one variant. ``cost_m`` is the error of the final pose as in the cost of a push."""
     from shmoo_mjx.learning.weights import load_weights
 
     runner = Runner(load_weights(asset(WEIGHTS)), 120.0, config=variant.config())
@@ -147,7 +148,7 @@ def push(trials: list[Trial], variant: Variant) -> list[Row]:
 
 
 def clock(variant: Variant, cores: int, steps: int) -> Row:
-    """Milliseconds of the control step in a process that has ``cores`` cores."""
+    """The row of the durations of ``steps`` control steps in a process that has ``cores`` cores."""
     asked = json.dumps([variant.kind, variant.rollouts, variant.horizon, cores])
     with closing(Worker([sys.executable, "-P", "-m", MODULE, "--serve", asked], cores)) as worker:
         worker.seconds(20)
@@ -157,9 +158,9 @@ def clock(variant: Variant, cores: int, steps: int) -> Row:
 
 
 def serve(asked: str) -> None:
-    """Answer a `Worker`: the control step of one variant."""
+    """Serve the control step of one variant to a `Worker`."""
     kind, rollouts, horizon, cores = json.loads(asked)
-    # Before JAX counts them.
+    # Restrict the cores before JAX counts them.
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     from shmoo_mjx.learning.weights import load_weights
 
@@ -172,7 +173,7 @@ def serve(asked: str) -> None:
 
 
 def summary(rows: list[Row], times: list[Row]) -> list[Row]:
-    """One row per variant: what its trials cost, how that differs from the shipped one's, and its times."""
+    """One row per variant: cost of its trials, difference from the cost of the shipped variant, and times."""
     of = {v.name: {r["trial"]: r for r in rows if r["variant"] == v.name} for v in VARIANTS}
     base, found = of[SHIPPED.name], []
     for variant in VARIANTS:
@@ -184,7 +185,7 @@ def summary(rows: list[Row], times: list[Row]) -> list[Row]:
             both = [t for t in base if t in mine]
             pair = paired_difference([mine[t]["cost_m"] for t in both], [base[t]["cost_m"] for t in both])
             line |= {} if pair is None else {"more_m": pair.mean, "more_low_m": pair.low, "more_high_m": pair.high}
-        # Noise is drawn before: the kinds take the same time.
+        # Noise is drawn in advance, so all kinds take the same time.
         timed = replace(variant, kind=KINDS[0]).name
         for row in (t for t in times if t["variant"] == timed):
             line |= {f"{key}_{row['cores']}_cores": row[key] for key in ("median_ms", "p99_ms")}
@@ -193,7 +194,7 @@ def summary(rows: list[Row], times: list[Row]) -> list[Row]:
 
 
 def as_table(lines: list[Row]) -> str:
-    """The summary in Markdown."""
+    """The summary as a Markdown table."""
 
     def cell(line: Row, *keys: str, form: str = ".3f") -> str:
         return ", ".join(format(line[k], form) for k in keys if k in line)
@@ -219,7 +220,7 @@ def as_table(lines: list[Row]) -> str:
 
 
 def draw_figure(path: Path, lines: list[Row]) -> None:
-    """Cost over S by kind of noise with the intervals of the differences, and cost over the step's time on one core."""
+    """Draw the cost over S by kind of noise with the intervals of the differences, and over the time of a step."""
     figure = blank_figure(10.0, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
     reference = next(line["cost_m"] for line in lines if line["name"] == SHIPPED.name)
@@ -245,7 +246,7 @@ def draw_figure(path: Path, lines: list[Row]) -> None:
 
 
 def main() -> None:
-    """Run what is asked for and not done yet, then put it together."""
+    """Run the requested parts that are not done yet, and write the result."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--parts", nargs="+", choices=("trials", "times", "report"), default=("trials", "times", "report")
@@ -290,7 +291,7 @@ def _clocked(steps: int, asked: tuple[Variant, int]) -> list[Row]:
 
 
 def _read(saved: Path, folder: Path, names: list[str], key: str, *, condition_seed: int) -> list[Row]:
-    """The rows that ``folder`` has under ``names``; of other variants those of the JSON ``saved`` that have ``key``."""
+    """The rows in ``folder`` under ``names``, and rows with ``key`` of other variants from the JSON ``saved``."""
     files = [path for name in names if (path := folder / f"{name}.json").is_file()]
     rows = [row for path in files for row in json.loads(path.read_text())]
     old = read_result(saved) if saved.is_file() else None

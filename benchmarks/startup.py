@@ -1,4 +1,4 @@
-"""How long a user waits: for ``shmoo --help``, and for the demo's first control steps with a warm compilation cache."""
+"""Waiting times of a user: ``shmoo --help``, and the demo's first control steps with a warm compilation cache."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from .registry import BenchOptions, Measured
 
 HELP = [sys.executable, "-c", "from shmoo_mjx.cli import main; main()", "--help"]
-"""What the script ``shmoo --help`` does."""
+"""Command that does the same as ``shmoo --help``."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class StartupSizes:
     """Sizes of the benchmark."""
 
     helps: int = 15
-    """Runs of ``shmoo --help``."""
+    """Number of runs of ``shmoo --help``."""
     demos: int = 3
-    """Starts of the demo, after one that fills the cache."""
+    """Number of starts of the demo, after one that fills the cache."""
 
 
 FULL = StartupSizes()
@@ -33,7 +33,7 @@ QUICK = StartupSizes(helps=5, demos=1)
 
 
 def help_seconds() -> tuple[float, float]:
-    """Time on the clock, and on the processor, that ``shmoo --help`` takes [s]."""
+    """Wall-clock time and processor time of ``shmoo --help`` [s]."""
     before, began = os.times(), time.perf_counter()
     subprocess.run(HELP, check=True, stdout=subprocess.DEVNULL)
     took, after = time.perf_counter() - began, os.times()
@@ -42,7 +42,7 @@ def help_seconds() -> tuple[float, float]:
 
 
 def run(cfg: StartupSizes, options: BenchOptions) -> Measured:
-    """Start each some times, in processes of their own."""
+    """Times of several starts of each command, in processes of their own."""
     rows: list[dict[str, Any]] = []
     for i in range(cfg.helps):
         options.progress("shmoo --help", 0.2 * i / cfg.helps)

@@ -1,8 +1,9 @@
-"""Ours without one of its parts, as pushing controllers: what each part brings with the loop closed.
+"""Pushing controllers for ablations: ours without one of its parts, to measure the effect of the part in closed loop.
 
 Run: shmoo experiment pushing --condition-seed 25 --policies ours benchmarks.without:aim benchmarks.without:governor
 
-From the repository's root, like any controller of one's own. docs/results/ablations.md has the results.
+The command must run in the root of the repository, as for any user's own controller. docs/results/ablations.md has the
+results.
 """
 
 from __future__ import annotations
@@ -36,18 +37,18 @@ def _without_overspeed(config: PushConfig, **terms: float) -> PushConfig:
 
 
 overspeed = _changed(_without_overspeed)
-"""Neither what speeding costs nor the governor's slowing down before the goal."""
+"""No cost of overspeed, and no slowing down before the goal."""
 heading_and_overspeed = _changed(lambda config: _without_overspeed(config, heading_weight=0.0))
-"""Each of the two is hardly missed."""
+"""Both parts at once, because removing one of them changes little."""
 governor = _changed(lambda config: replace(config, governor=replace(config.governor, gain=0.0)))
 """No bounds on the forward lean, in plan and command."""
 governor_room = _changed(lambda config: replace(config, governor_room=1.0))
-"""The governor's upper bound alone."""
+"""Only the upper bound of the governor."""
 foresees_governor = _changed(lambda config: replace(config, foresees_governor=False))
-"""Roll-outs that lean as far as they like."""
+"""Roll-outs without the bounds of the governor."""
 running_lateral_foresees = _changed(
     lambda config: replace(
         config, foresees_governor=False, cost=replace(config.cost, running_weight=0.0, lateral_weight=0.0)
     )
 )
-"""Each of the three is hardly missed."""
+"""All three parts at once, because removing one of them changes little."""

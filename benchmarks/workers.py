@@ -1,4 +1,4 @@
-"""Engines as processes that wait to be timed, so that all of them can take turns on the same cores in one run."""
+"""Engines in processes that wait to be timed, so that all of them can take turns on the same cores in one run."""
 
 from __future__ import annotations
 
@@ -16,21 +16,25 @@ from shmoo_mjx.errors import ShmooError
 
 
 def usable_cores() -> int:
-    """Cores that this process may run on."""
+    """Number of cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Worker:
-    """One engine. `about` holds what it said when it was ready.
+    """The process of one engine. `about` is what the engine reported when it was ready.
+
+    Args:
+        command: command that starts the engine.
+        devices: number of CPU devices that JAX sees in it.
 
     Raises:
-        ShmooError: it ended before it was ready; the sentence holds its last line.
+        ShmooError: the process ended before it was ready. The message contains its last line.
     """
 
     def __init__(self, command: Sequence[str], devices: int = 1) -> None:
         cores = str(usable_cores())
         env = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), cores)
-        # A cached program would hide what compiling takes.
+        # A cached program would hide the compilation time.
         env |= {"JAX_NUM_CPU_DEVICES": str(devices), "JAX_ENABLE_COMPILATION_CACHE": "false"}
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed in close)
         self._command = command
@@ -48,7 +52,7 @@ class Worker:
             raise
 
     def seconds(self, calls: int) -> tuple[list[float], int]:
-        """The durations of ``calls`` control steps [s], and how many programs have been compiled since it was ready."""
+        """The durations of ``calls`` control steps [s], and the number of programs compiled since it was ready."""
         assert self._process.stdin
         self._process.stdin.write(f"{calls}\n")
         self._process.stdin.flush()
@@ -70,7 +74,7 @@ class Worker:
 
     def _read(self) -> dict[str, Any]:
         assert self._process.stdout
-        # Libraries may print; an answer is a line that begins a JSON object.
+        # Libraries may print too, so only a line that begins a JSON object is an answer.
         for line in self._process.stdout:
             if line.startswith("{"):
                 answer: dict[str, Any] = json.loads(line)
@@ -82,7 +86,12 @@ class Worker:
 
 
 def ours(spec: dict[str, Any], devices: int | None = None) -> Worker:
-    """One of `engines`, on as many CPU devices as there are cores (at most four) unless told."""
+    """A worker with one of `engines`.
+
+    Args:
+        spec: specification of the engine (`engines`).
+        devices: number of CPU devices; None for as many as there are cores, at most four.
+    """
     command = [sys.executable, "-P", "-m", f"{__package__}.engines", json.dumps(spec)]
     return Worker(command, devices or min(usable_cores(), 4))
 
@@ -90,7 +99,7 @@ def ours(spec: dict[str, Any], devices: int | None = None) -> Worker:
 def peer(
     python: Path, engine: str, *, samples: int, horizon: int, activation: str, seed: int, device: str = "cpu"
 ) -> Worker:
-    """One of `peers`, run by the interpreter ``python``; torch's ``device`` is cpu or cuda."""
+    """A worker with one of `peers`, run by the interpreter ``python``. The ``device`` of torch is cpu or cuda."""
     script = Path(__file__).with_name("peers.py")
     sizes = (samples, horizon, activation, usable_cores(), seed, device)
     return Worker([str(python), str(script), engine, *map(str, sizes)])
@@ -98,7 +107,7 @@ def peer(
 
 @contextmanager
 def busy_neighbour() -> Iterator[None]:
-    """A process that keeps one core busy meanwhile."""
+    """Keep one core busy with another process inside the context."""
     process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
         yield

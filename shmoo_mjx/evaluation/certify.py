@@ -1,9 +1,9 @@
-"""Certificates: what each option in a scenario leads to, tried by scripted skills that know everything.
+"""Certificates: the outcome of each option in a scenario, from scripted pushes with perfect knowledge.
 
-For each object in the way, each face that can be walked to is pushed at several places and steering angles, and each
-corner, in the scene itself in C MuJoCo. Walks are not simulated: they take the robot's usual time. Cheap attempts come
-first, and no more are made on an object once one has freed the way. Where one push is not enough the search goes on
-from where it has led.
+The search pushes each object in the way on every reachable face, at several places and steering angles, and on every
+reachable corner. Pushes run in the scene itself in C MuJoCo. Walks are not simulated; they count with the robot's usual
+walking time. Cheap attempts come first, and the attempts on an object end once one has freed the way past it. If one
+push is not enough, the search continues from the state after that push.
 """
 
 from __future__ import annotations
@@ -29,69 +29,71 @@ from shmoo_mjx.plant.scene import Scene, build_scene
 AttemptResult = Literal["free", "passed", "moved", "stuck", "failed"]
 
 _PASSED = 1.0
-"""The way past an object is free once it is at most this much longer than without the object [m]."""
+"""Extra length up to which the way past an object counts as free, compared with the way without the object [m]."""
 _GAPS = (0.12, 0.25, 0.4)
-"""Distances between hands and face at which a push may begin [m]."""
+"""Distances between the hands and the face at the start of a push [m]. The first one that is reachable is used."""
 _WINDOW = 5.0
-"""Walls up to this distance from an object are simulated when it is pushed [m]."""
+"""Half side of the square around a pushed object in which walls are simulated [m]."""
 _GIVES_WAY = 0.1
-"""Displacement below which no other attempts are made on an object [m]."""
+"""Displacement that the best push of a batch must reach [m]. Below it, no further attempts are made on the object."""
 _MOVED = 0.3
-"""Displacement from which another push is tried from where an object was left [m]."""
+"""Displacement above which the search continues from the new pose of an object that is still in the way [m]."""
 
 
 @dataclass(frozen=True)
 class CertifyConfig:
-    """Settings of the search, SI units."""
+    """Settings of the search, in SI units."""
 
     script: ScriptConfig = ScriptConfig()
     pace: float = 0.455
-    """Speed of walking [m/s], of runs in which the robot always goes round."""
+    """Walking speed [m/s], taken from runs in which the robot always goes round objects."""
     stop: float = 1.0
-    """Time that starting, stopping and turning at the ends of a walk take beside it [s]."""
+    """Additional time of each walk for starting, stopping and turning [s]."""
     lateral: tuple[float, ...] = (0.0, 0.5, -0.5)
-    """Places along a face, as shares of half its width."""
+    """Contact places along a face, as fractions of its half width. Positive is to the robot's left."""
     steering: float = 0.3
-    """Steering angle of later attempts [rad]."""
+    """Magnitude of the steering angle in later attempts [rad]."""
     pushes: int = 4
-    """Most pushes in a row."""
+    """Maximum number of pushes in a sequence."""
 
 
 class Attempt(BaseModel):
-    """One push of one object, from the stand-off pose on."""
+    """One push of one object, starting at the stand-off pose."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     object: WholeNumber = Field(ge=0)
     face: WholeNumber = Field(ge=0, le=7)
-    """Index among `faces_of` and, from 4 on, `corners_of`."""
+    """Index of the face in `faces_of`, or 4 plus the index of the corner in `corners_of`."""
     lateral: Number
-    """Place along the face, to the robot's left [m]."""
+    """Distance of the contact place from the centre of the face, positive to the robot's left [m]."""
     steering: Number
-    """[rad]"""
+    """Steering angle during the push [rad]."""
     start: tuple[Number, Number, Number]
-    """Pose of the robot in {W} at which it begins [m, m, rad]."""
+    """Pose of the robot in {W} at the start of the push [m, m, rad]."""
     after: WholeNumber | None = None
-    """The attempt that came before, by its place in the list; None for the first push."""
+    """Index of the preceding push in the list of attempts; None for the first push of a sequence."""
     result: AttemptResult
-    """free: the way to the goal is free. passed: the object is out of the way, others are not. moved: it has moved, but
-    is still in the way. stuck: it has not moved. failed: the robot fell or touched a wall, or something toppled."""
+    """free: the way to the goal is free. passed: the object is out of the way, but others are not. moved: the object
+    has moved, but it is still in the way. stuck: the object has not moved. failed: the robot fell or touched a wall, an
+    object toppled, or the simulation diverged."""
     progress: Number
-    """Displacement of the object along the push [m]."""
+    """Displacement of the object along the heading of the push [m]."""
     seconds: Number
-    """Time from the start of the scenario to the end of the retreat [s]; if free, to the goal."""
+    """Time from the start of the scenario to the end of the retreat [s]. If the result is free, it includes the walk to
+    the goal."""
 
 
 class Certificate(BaseModel):
-    """What is known of a scenario."""
+    """Outcomes of all options of a scenario."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     attempts: tuple[Attempt, ...]
     round_s: Number | None
-    """Time of going round all objects [s], None if there is no way round."""
+    """Time of going round all objects [s]; None if there is no way round."""
     reference_s: Number | None
-    """Least time of all options [s]; None where no option works."""
+    """Shortest time of all options [s]; None if no option works."""
     best: tuple[WholeNumber, ...]
-    """The attempts of the best option in their order; empty for going round, and where no option works."""
+    """Indices of the attempts of the fastest option, in order. Empty if going round is fastest or no option works."""
 
     @model_validator(mode="after")
     def _attempts_exist(self) -> Certificate:
@@ -102,11 +104,15 @@ class Certificate(BaseModel):
 
     @property
     def pushed(self) -> tuple[int, ...]:
-        """Objects that the best option pushes, in order."""
+        """Objects that the fastest option pushes, in order."""
         return tuple(self.attempts[i].object for i in self.best)
 
     def options(self) -> dict[int | None, float]:
-        """Least certified time [s] by what is done first: the object that is pushed, or None for going round."""
+        """Shortest certified time of each first action [s].
+
+        Returns:
+            Time by index of the object that is pushed first. The key None stands for going round.
+        """
         times: dict[int | None, float] = {} if self.round_s is None else {None: self.round_s}
         for attempt in self.attempts:
             if attempt.result == "free":
@@ -117,13 +123,19 @@ class Certificate(BaseModel):
         return times
 
     def moves(self, index: int, distance: float, untried: bool = False) -> bool:
-        """Whether some push moves an object at least this far along the push [m]; ``untried`` if none was tried."""
+        """Whether some attempt moves object ``index`` by at least ``distance`` along the push.
+
+        Args:
+            index: index of the object.
+            distance: displacement along the push [m].
+            untried: value to return if the object has no attempts.
+        """
         tried = [a.progress for a in self.attempts if a.object == index]
         return max(tried) >= distance if tried else untried
 
 
 class _State(NamedTuple):
-    """The world after some pushes."""
+    """State of the world after some pushes."""
 
     qpos: np.ndarray
     robot: np.ndarray
@@ -133,14 +145,14 @@ class _State(NamedTuple):
     last: int | None = None
 
     def then(self, attempt: Attempt, number: int, end: PushEnd) -> _State:
-        """The world after attempt ``number``, which ended so."""
+        """The state after attempt ``number``, whose push ended as ``end``."""
         pushed = (*self.pushed, attempt.object)
         return _State(end.qpos, end.robot, end.objects, attempt.seconds, pushed, number)
 
 
 @dataclass
 class _Search:
-    """A scenario that is being certified."""
+    """Search over the options of one scenario."""
 
     grid: OccupancyGrid
     scenario: Scenario
@@ -157,13 +169,13 @@ class _Search:
         return [footprint_polygon(objects[i], self.conditions[i].half_extents) for i in which]
 
     def length(self, start: np.ndarray, obstacles: list[shapely.Polygon], end: np.ndarray | None = None) -> float:
-        """Length of the path [m], infinite where there is none."""
+        """Length of the path to ``end``, by default the goal [m]; infinite if there is none."""
         goal = np.asarray(self.scenario.goal) if end is None else end
         path = plan_path(self.grid, start[:2], goal, obstacles, robot_radius=ROBOT_RADIUS, wall_clearance=self.walls)
         return np.inf if path is None else path.length
 
     def walk(self, length: float) -> float:
-        """Time of a walk [s]."""
+        """Time of a walk of ``length`` metres [s]."""
         return self.cfg.stop + length / self.cfg.pace if length > 0.05 else 0.0
 
     def start(self) -> _State:
@@ -172,7 +184,7 @@ class _Search:
         return _State(scene.qpos0, np.asarray(self.scenario.start), poses, 0.0)
 
     def scene(self, place: np.ndarray) -> Scene:
-        """Robot, objects, and the walls near ``place``."""
+        """Scene with the robot, all objects, and the walls near ``place``."""
         key = (round(float(place[0])), round(float(place[1])))
         if key not in self.scenes:
             x, y = key
@@ -183,7 +195,13 @@ class _Search:
         return self.scenes[key]
 
     def in_the_way(self, state: _State) -> list[tuple[int, list[int]]]:
-        """(object, objects taken for walls): the first object on the path, the first on the path round that one, ..."""
+        """Objects that block the way to the goal.
+
+        The first path ignores all objects. Each further path treats the blocking objects found so far as walls.
+
+        Returns:
+            For each path, the first object on it and the objects that it treats as walls.
+        """
         fixed: list[int] = []
         blockers: list[tuple[int, list[int]]] = []
         while True:
@@ -204,7 +222,7 @@ class _Search:
             fixed.append(min(met)[1])
 
     def starts(self, state: _State, index: int, face: int, lateral: float) -> np.ndarray | None:
-        """The pose at which a push on a face begins; None if the robot can't walk to it."""
+        """Pose ``[3]`` of the robot in {W} at which a push on a face starts; None if the robot cannot walk to it."""
         obstacles = self.polygons(state.objects, range(len(self.conditions)))
         room = add_obstacles(self.walls, obstacles)
         for gap in _GAPS:
@@ -214,9 +232,10 @@ class _Search:
         return None
 
     def stages(self, state: _State, index: int, fixed: list[int]) -> Iterator[list[tuple[int, ScriptedPush]]]:
-        """Attempts on an object as (index of the face, push), cheap ones first.
+        """Batches of attempts on an object as (index of the face, push), cheap ones first.
 
-        None is made from where the object is not in the way: to walk there is to go round it.
+        A push is left out if the object does not block the way from its start pose, because a robot that walks to this
+        pose has already gone round the object.
         """
         cfg, faces = self.cfg, self.faces[index]
 
@@ -236,7 +255,7 @@ class _Search:
             yield later[first : first + WORLDS]
 
     def explore(self, state: _State) -> None:
-        """Try the objects in the way, and go on from where pushes have led."""
+        """Try the objects in the way, and continue from the states that pushes lead to."""
         for index, fixed in self.in_the_way(state):
             ends: list[tuple[int, PushEnd]] = []
             for batch in self.stages(state, index, fixed):
@@ -250,7 +269,7 @@ class _Search:
             self.go_on(state, index, ends)
 
     def go_on(self, state: _State, index: int, ends: list[tuple[int, PushEnd]]) -> None:
-        """Search on from the quickest push that passed, or from the one that moved the object farthest."""
+        """Continue from the fastest push that passed, or else from the one that moved the object farthest."""
         if len(state.pushed) + 1 >= self.cfg.pushes or any(self.attempts[i].result == "free" for i, _ in ends):
             return
         passed = [(self.attempts[i].seconds, i, end) for i, end in ends if self.attempts[i].result == "passed"]
@@ -262,7 +281,7 @@ class _Search:
     def tried(
         self, state: _State, index: int, fixed: list[int], batch: list[tuple[int, ScriptedPush]]
     ) -> list[tuple[int, PushEnd]]:
-        """The attempts of a batch, by their places in the list."""
+        """Run a batch of attempts, add them to the list, and return the index and the end of each."""
 
         def passes(which: int, robot: np.ndarray, objects: np.ndarray) -> bool:
             return self.passes(which, fixed, robot, objects)[0]
@@ -291,7 +310,10 @@ class _Search:
         return done
 
     def passes(self, index: int, fixed: list[int], robot: np.ndarray, objects: np.ndarray) -> tuple[bool, float]:
-        """Whether the way passes object ``index``, and its length past all objects, infinite if one is in the way."""
+        """Whether the way past object ``index`` is free, and the length of the way past all objects [m].
+
+        The length is infinite if any object blocks the way.
+        """
         walls = self.polygons(objects, fixed)
         without = self.length(robot, walls)
         past = self.length(robot, [*walls, *self.polygons(objects, [index])])
@@ -303,7 +325,13 @@ class _Search:
 
 @single_precision
 def certify(grid: OccupancyGrid, scenario: Scenario, cfg: CertifyConfig = CertifyConfig()) -> Certificate:
-    """Try all options of a scenario with at least one object; it takes about 10 s."""
+    """The certificate of a scenario, from trying all its options. It takes about 10 s.
+
+    Args:
+        grid: map of the scenario.
+        scenario: scenario with at least one object.
+        cfg: settings of the search.
+    """
     search = _Search(grid, scenario, cfg)
     state = search.start()
     length = search.length(state.robot, search.polygons(state.objects, range(len(state.objects))))
@@ -332,7 +360,17 @@ def _certificate(attempts: list[Attempt], round_s: float | None) -> Certificate:
 def replay(
     grid: OccupancyGrid, scenario: Scenario, certificate: Certificate, cfg: CertifyConfig = CertifyConfig()
 ) -> list[Attempt]:
-    """The pushes of the best option, made again in the scene, each from where the one before has led."""
+    """Repeat the pushes of the fastest option in the scene. Each push starts from the state after the one before.
+
+    Args:
+        grid: map of the scenario.
+        scenario: scenario of the certificate.
+        certificate: certificate whose pushes are repeated.
+        cfg: settings of the pushes.
+
+    Returns:
+        The repeated attempts, in order.
+    """
     search = _Search(grid, scenario, cfg)
     state = search.start()
     for old in (certificate.attempts[i] for i in certificate.best):

@@ -1,4 +1,4 @@
-"""The data that experiments on the object model share: one training set, and objects that nobody has looked at."""
+"""Data sets that experiments on the object model share: one training set, and recordings of unseen objects."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from shmoo_mjx.plant.condition import Condition
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 
 TRAINING = Path("data/train")
-"""Where ``shmoo collect data/train`` of the docs puts the training set."""
+"""Default directory of the training set, the one of ``shmoo collect data/train`` in the docs."""
 
 QUICK = CollectConfig(train=8, validation=3)
-"""Collected for a quick experiment where no training set lies at hand."""
+"""Size of the training set that a quick experiment collects if there is none."""
 
 
 def training_directory(options: ExperimentOptions) -> Path:
     """The directory of the training set: ``options.data`` or data/train, collected if it is absent.
 
-    A collection that was stopped is continued. Without a set at hand, a quick experiment collects a small one.
+    An interrupted collection continues. If there is no training set, a quick experiment collects a small one.
 
     Raises:
         ShmooError: the directory holds a damaged data set.
@@ -45,9 +45,11 @@ def training_directory(options: ExperimentOptions) -> Path:
 
 
 def unseen_directory(options: ExperimentOptions, counts: Mapping[str, int]) -> Path:
-    """The directory with recordings of unseen objects, so many of each family, collected once under ``options.out``.
+    """The directory with recordings of unseen objects, collected once under ``options.out``.
 
-    The condition_seed draws the objects, the seed the operators that push them.
+    Args:
+        options: the condition_seed draws the objects, and the seed draws the operators that push them.
+        counts: number of objects of each family.
     """
     first = options.first_unseen
     assert first >= SPLIT_SEEDS["test"], "an unseen object would have a training seed"
@@ -61,9 +63,15 @@ def unseen_directory(options: ExperimentOptions, counts: Mapping[str, int]) -> P
 
 
 def collect_rows(options: ExperimentOptions, name: str, rows: list[tuple[str, str, Condition]]) -> Path:
-    """Directory ``name`` under ``options.out`` with recordings of these (name, split, condition), collected once."""
+    """A directory under ``options.out`` with recordings of given conditions, collected once.
+
+    Args:
+        options: the seed and the condition_seed draw the operators.
+        name: first part of the directory's name. The seed is the second part.
+        rows: (name, split, condition) of each recording.
+    """
     directory = options.out / "data" / f"{name}-seed{options.seed}"
-    # Operators of their own: those of the training set start from small seeds.
+    # The operators differ from those of the training set, whose seeds are small.
     config = CollectConfig(train=0, validation=0, seed=options.first_unseen + options.seed)
     collect(directory, config, progress=_report(options, "collect unseen objects"), rows=rows)
     return directory

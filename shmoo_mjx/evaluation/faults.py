@@ -1,7 +1,7 @@
-"""The fault matrix: each fault in the demo's scenes, and whether the robot recovers, stops safely or fails.
+"""Fault matrix: each fault in the scenes of the demo, and whether the robot recovers, stops safely or fails.
 
-Faults are put in between the world, the senses, the navigator and the motors; none of them is told. What came out is
-judged by the true state: a run in which the robot says that it is there and is not counts as a silent wrong success.
+Faults are injected between the world, the sensing, the navigator and the motors, which get no notice of them. The true
+state decides the outcome. A run in which the robot reports a goal that it has not reached is a silent wrong success.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from shmoo_mjx.types import DT, Command, Observation
 
 OUTCOMES = ("recovered", "stopped safely", "failed", "did not occur")
 _AWAY = (-50.0, -50.0, 0.0)
-"""Where what does not stand in the scene yet waits, and what was taken away is."""
+"""Pose in {W} of objects that are not in the scene yet or were taken away [m, m, rad]."""
 _EXTRA: dict[str, dict[str, Any]] = {
     "door": {"size": [0.5, 0.8, 0.7], "mass": 40.0, "friction": 0.65},
     "person": {"size": [0.45, 0.45, 0.75], "mass": 40.0, "friction": 0.65},
@@ -44,16 +44,16 @@ _EXTRA: dict[str, dict[str, Any]] = {
 
 @dataclass
 class _Trial:
-    """A run with one fault in it."""
+    """A run with one fault."""
 
     simulation: Simulation
     began: float | None = None
     first: Any = None
-    """The observation when the fault began."""
+    """Observation at the start of the fault."""
     walker: Any = None
-    """``[3]`` where a person starts to walk, and where to."""
+    """Pose ``[3]`` in {W} at which a person starts to walk, in the direction of its yaw [m, m, rad]."""
     walked: float = 0.0
-    """[m]"""
+    """Distance that the person has walked [m]."""
 
     @property
     def since(self) -> float:
@@ -64,7 +64,10 @@ class _Trial:
         return np.asarray(self.simulation.true.robot_pose[0])
 
     def ahead(self, distance: float) -> Any:
-        """The pose on free floor nearest to straight ahead."""
+        """Pose ``[3]`` in {W} on free floor at ``distance`` [m] from the robot, as close to straight ahead as possible.
+
+        If there is none, the pose straight ahead.
+        """
         clearance = distance_field(self.simulation.grid)
         turns = np.deg2rad([0, 20, -20, 40, -40, 60, -60, 90, -90, 180])
         poses = [se2.compose(self.robot, np.array([distance * np.cos(a), distance * np.sin(a), a])) for a in turns]
@@ -73,21 +76,24 @@ class _Trial:
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong, when and for how long."""
+    """A fault: its effect, its start and its duration."""
 
     what: str
     on: str = "push"
-    """Begins 1 s after this: "start", "follow path" for 2 s, or "push"."""
+    """State of the navigator in which the fault starts, or "start" for any. The fault starts after 1 s in this state,
+    or after 2 s of "follow path"."""
     lasts: float = np.inf
-    """[s]"""
+    """Duration [s]."""
     perceive: Callable[[_Trial, Observation], Observation] | None = None
+    """Changes each observation during the fault."""
     once: Callable[[_Trial], None] | None = None
-    """Done to the world or to the robot when it begins."""
+    """Changes the world or the robot at the start of the fault."""
     each: Callable[[_Trial], None] | None = None
-    """Done in every sample."""
+    """Changes the world in every sample of the fault."""
     loses_commands: bool = False
+    """Whether no command arrives during the fault."""
     extra: str | None = None
-    """What else will stand in the scene."""
+    """Additional object of the scene, a key of `_EXTRA`."""
 
 
 def _blind(trial: _Trial, obs: Observation) -> Observation:
@@ -106,7 +112,7 @@ def _swapped(trial: _Trial, obs: Observation) -> Observation:
 
 
 def _ghost(trial: _Trial, obs: Observation) -> Observation:
-    """The last object is reported 1 m ahead."""
+    """The observation with the last object reported 1 m ahead of the robot."""
     pose, age, detected = (np.array(v) for v in (obs.object_pose, obs.object_age, obs.detected))
     pose[0, -1] = se2.compose(np.asarray(obs.robot_pose[0]), np.array([1.0, 0.0, 0.0]))
     age[0, -1], detected[0, -1] = 0.03, True
@@ -121,12 +127,12 @@ def _frozen(trial: _Trial, obs: Observation) -> Observation:
 
 
 def _felt(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[_Trial, Observation], Observation]:
-    """The hands' wrench is ``change`` of (the true one, the one when the fault began)."""
+    """A ``perceive`` that replaces the wrench by ``change`` of the true wrench and the wrench at the fault's start."""
     return lambda trial, obs: obs._replace(wrench=change(np.asarray(obs.wrench), trial.first.wrench))
 
 
 def _jump(trial: _Trial) -> None:
-    """The estimate of {D} in {W} is 0.3 m off; the localiser has to bring it back."""
+    """Shift the estimate of {D} in {W} by 0.3 m. The localiser has to correct it."""
     world = trial.simulation.world
     sensor_state: Any = world.sensor_state
     frame = np.array(sensor_state.odometry.frame)
@@ -165,7 +171,7 @@ def _pushed_object(trial: _Trial) -> int:
 
 
 def _shove(trial: _Trial) -> None:
-    """0.8 m/s to the robot's left."""
+    """Add 0.8 m/s to the robot's left to the velocity of the pushed object."""
     simulation = trial.simulation
     physics, scene = simulation.world.truth.physics.copy(), simulation.scene
     speed = 1 + scene.model.nq + scene.object_qvel[_pushed_object(trial)]
@@ -175,7 +181,7 @@ def _shove(trial: _Trial) -> None:
 
 
 def _close(trial: _Trial) -> None:
-    """Something heavy stands where the robot was when it was 1.2 m from here."""
+    """Place the extra object at the robot's latest pose more than 1.2 m away from the current one."""
     driven = [row.robot_pose for row in trial.simulation.history.rows]
     behind: Any = next((p for p in reversed(driven) if np.hypot(*(p[:2] - trial.robot[:2])) > 1.2), None)
     if behind is not None:
@@ -183,7 +189,10 @@ def _close(trial: _Trial) -> None:
 
 
 def _walk(trial: _Trial) -> None:
-    """Across the robot's way at 0.8 m/s, 1.2 m ahead of where it was; whoever walks stops in front of a robot."""
+    """Move the person by one sample at 0.8 m/s, across the robot's way and 1.2 m ahead of its pose at the start.
+
+    The person stops within 0.7 m of the robot and leaves the scene after 5 m.
+    """
     if trial.walker is None:
         trial.walker = se2.compose(trial.robot, np.array([1.2, 2.0, -np.pi / 2]))
     gone = trial.walked + 0.8 * DT
@@ -224,11 +233,11 @@ FAULTS = {
     "door_closes": Fault("something heavy closes the way behind the robot", "follow path", once=_close, extra="door"),
     "person_walks": Fault("a person walks across the way", "follow path", 12.0, each=_walk, extra="person"),
 }
-"""By name."""
+"""Faults by name."""
 
 
 def play(name: str, seed: int, weights: Path) -> dict[str, Any]:
-    """One run of the demo with this seed and the fault ``name``."""
+    """The row of one run: the demo of ``seed`` with the fault ``name``."""
     fault = FAULTS[name]
     grid, scenario = demo_scenario(seed)
     if fault.extra is not None:
@@ -291,7 +300,7 @@ def _judged(trial: _Trial, fault: Fault) -> dict[str, Any]:
 
 
 def summary(result: ExperimentResult) -> str:
-    """The table of faults and outcomes as Markdown, with the number of falls and of wrongly reported goals."""
+    """Markdown table of faults and outcomes, with the numbers of falls and of wrongly reported goals."""
     lines = []
     for name, what in result.config["faults"].items():
         mine = [r for r in result.rows if r["fault"] == name]
@@ -307,19 +316,19 @@ def summary(result: ExperimentResult) -> str:
 
 @dataclass(frozen=True)
 class FaultTrials(ExperimentConfig):
-    """What is tried: faults in the demos ``seed``, ``seed + 1``, ..."""
+    """Settings of the experiment. Each fault runs in the demos ``seed``, ``seed + 1``, ..."""
 
     runs: int = 20
-    """Of each fault."""
+    """Runs of each fault."""
     only: tuple[str, ...] = ()
-    """These faults; all if none is named."""
+    """Names of the faults to run; all if empty."""
 
 
 def _prepare(options: ExperimentOptions, config: FaultTrials, folder: Path) -> Prepared:
-    """The names of the faults.
+    """The names of the faults to run.
 
     Raises:
-        ShmooError: there is no such fault.
+        ShmooError: a name is unknown.
     """
     unknown = next((name for name in config.only if name not in FAULTS), None)
     if unknown is not None:

@@ -1,4 +1,4 @@
-"""Experiment lifelong: five goals in a row, in a world that stays as the robot has left it.
+"""Experiment `lifelong`: five goals in a row, in a world that stays as the robot has left it.
 
 The robot keeps its beliefs about objects from goal to goal, and the drift of its sensors continues. A sequence ends if
 the robot gives up, falls or runs out of time, and the remaining goals count as not reached. A goal reached with a wall
@@ -34,17 +34,17 @@ from shmoo_mjx.planning.scenario import ROBOT_RADIUS, Limits, ObjectEntry
 from shmoo_mjx.report.tables import markdown_table
 
 _TRIES = 60
-"""Largest number of draws of each further goal."""
+"""Maximum number of draws of each further goal."""
 
 
 @dataclass(frozen=True)
 class LifelongTrials(ExperimentConfig):
-    """What is tried."""
+    """Settings of the experiment."""
 
     sequences: int = 8
-    """Per map."""
+    """Number of sequences per map."""
     goals: int = 5
-    """Per sequence."""
+    """Number of goals per sequence."""
     policies: tuple[str, ...] = (OURS,)
     scenario: ScenarioConfig = ScenarioConfig()
 
@@ -53,11 +53,11 @@ class GoalSequence(BaseModel):
     """A world and the goals that the robot is given in it, one after the other."""
 
     generated: Generated
-    """The world, and the first goal."""
+    """The world and the first goal."""
     goals: tuple[tuple[float, float], ...]
-    """The first one included."""
+    """All goals in {W} in their order, including the first [m]."""
     shortest: tuple[float, ...]
-    """Length of the path to each goal past no object, from the goal before [m]."""
+    """Length of the path without objects to each goal, from the start or the goal before [m]."""
 
 
 def _adjust(options: ExperimentOptions, config: LifelongTrials) -> LifelongTrials:
@@ -104,7 +104,7 @@ def _trial(setup: Setup[LifelongTrials], trial: tuple[str, int, str]) -> list[di
 def _kept_sequence(
     setup: Setup[LifelongTrials], grid: OccupancyGrid, map_name: str, number: int
 ) -> GoalSequence | None:
-    """Sequence ``number`` of a map, for the range of the extra length whose turn it is."""
+    """Sequence ``number`` of a map; None if the map has no place for it."""
     places: Places = setup.data
     count = setup.config.goals
 
@@ -130,7 +130,13 @@ def _legs(legs: list[dict[str, Any]], shortest: tuple[float, ...]) -> list[dict[
 
 
 def measure(rows: list[dict[str, Any]], policies: tuple[str, ...], goals: int) -> dict[str, Any]:
-    """Metrics of every policy, ours without a prefix; ``*_goal3`` is of the third goal, for example."""
+    """Metrics of every policy. Ours have no prefix. For example, ``*_goal3`` belongs to the third goal.
+
+    Args:
+        rows: rows of all sequences.
+        policies: names of the policies.
+        goals: number of goals per sequence.
+    """
     of = {policy: dict(enumerate(r for r in rows if r["policy"] == policy)) for policy in policies}
     return metrics_by_method(of, partial(_of_policy, goals), lambda policy, pairs: {})
 
@@ -163,7 +169,7 @@ def _mean(values: list[Any]) -> float | None:
 def draw_sequence(
     generated: Generated, grid: OccupancyGrid, rng: np.random.Generator, *, count: int, cfg: ScenarioConfig
 ) -> GoalSequence:
-    """Draw further goals in a scenario, ``count`` in all. The time limit of ``cfg`` is that of each goal.
+    """Draw further goals in a scenario, ``count`` in all. The time limit of ``cfg`` applies to each goal.
 
     Each goal can be reached from the previous one without the movable objects in the way. If possible, every second
     path leads through the initial place of an object, so that what the robot knows about the object is useful. The
@@ -196,7 +202,10 @@ def _next_leg(
     rng: np.random.Generator,
     cfg: ScenarioConfig,
 ) -> Route | None:
-    """The path without objects to a goal in reach, if possible one that an object blocks (``blocked``) or does not."""
+    """The path without objects to a random goal in reach; None if no goal is found.
+
+    If possible, an object blocks the path (``blocked``) or no object does (not ``blocked``).
+    """
     shapes = [_shape(entry) for entry in generated.scenario.objects]
     gone = [movable and in_the_way for movable, in_the_way in zip(generated.movable, generated.blocking, strict=True)]
     staying = [shape for shape, is_gone in zip(shapes, gone, strict=True) if not is_gone]

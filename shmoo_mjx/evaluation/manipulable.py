@@ -1,7 +1,7 @@
-"""What "manipulable" means, told by the plant alone, and objects drawn on both sides of that line.
+"""Ground truth of manipulability, measured with the plant alone, and random objects on both sides of its border.
 
-No model, planner or controller of the system takes part: the robot leans into the object as far as the pushing
-controller may, and how far the object has gone along the push is the truth that decisions are compared with.
+No model, planner or controller of the system takes part. The robot leans into the object up to the limit of the pushing
+controller. The displacement of the object along the push is the ground truth for the decisions of the system.
 """
 
 from __future__ import annotations
@@ -24,42 +24,48 @@ from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.types import DT, Command, Observation
 
 IMMOVABLE = ("heavy", "brakes", "fixed")
-"""Kinds of objects that a robot like this can't move: too heavy, two wheels locked, fixed to the floor."""
+"""Kinds of objects that the robot should not be able to move: too heavy, two wheels locked, fixed to the floor."""
 
 
 BORDER = (0.2, 0.5)
-"""Progress [m] that counts as near the border of manipulability: the threshold 0.316 m, 1.6 times less or more."""
+"""Progress that counts as near the border of manipulability [m]: the threshold of 0.316 m, 1.6 times less or more."""
 
 STRATA = {"drawn": "as drawn", "border": "near the border"}
-"""Objects as they come, and objects near the border of manipulability, by name."""
+"""Strata by name: objects as drawn, and objects near the border of manipulability."""
 
 HEAVIEST = 450.0
-"""Load that no object near the border exceeds [kg]."""
+"""Maximum load of an object near the border [kg]."""
 
 
 @dataclass(frozen=True)
 class SteadyPush:
-    """The robot's greatest steady push."""
+    """Settings of the robot's strongest steady push."""
 
     lean: float = 0.15
-    """Lean towards the object while it is slower than ``speed``: the limit of the pushing controller [rad]."""
+    """Lean towards the object at low speed: the lean limit of the pushing controller [rad]."""
     speed: float = 0.25
-    """Speed at which the lean is taken back: that controller's speed limit [m/s]."""
+    """Speed of the robot at which the lean command reaches zero: the speed limit of the pushing controller [m/s]."""
     seconds: float = 6.5
-    """Time from the first contact: about 1.5 s until the lean is up, then the planning stage's horizon of 5 s [s]."""
+    """Duration from the first contact [s]: about 1.5 s for the lean to grow, then the planning horizon of 5 s."""
     distance: float = MOVES
     """Progress along the push from which an object counts as manipulable [m]."""
     turn: float = TURNS
-    """The push ends once the object has turned this far [rad]."""
+    """Rotation of the object at which the push ends [rad]."""
     touch: float = 5.0
-    """Force that counts as the first contact [N]."""
+    """Hand force that counts as the first contact [N]."""
 
 
 @cache
 def steady_push(condition: Condition, side: int, cfg: SteadyPush = SteadyPush()) -> float:
-    """Progress [m] of the object along the push when the robot leans into face ``side`` as far as it may.
+    """Progress of an object along the strongest steady push on one face [m].
 
-    It ends once the object has gone ``cfg.distance`` or turned by ``cfg.turn``, or after ``cfg.seconds`` of contact.
+    The push ends once the object has moved by ``cfg.distance`` or turned by ``cfg.turn``, once the robot has fallen, or
+    after ``cfg.seconds`` of contact.
+
+    Args:
+        condition: object, alone on an open floor.
+        side: index of the face in `faces_of`.
+        cfg: settings of the push.
     """
     face = faces_of(condition.half_extents)[side]
     start = stand_off(np.zeros(3), face, 0.10)
@@ -95,16 +101,18 @@ def steady_lean(
     touching: Bool[Array, "W"],
     lateral: Float[Array, "W"] | float = 0.0,
 ) -> Float[np.ndarray, "W 2"]:
-    """Lean commands in {R} [rad]: arms out at rest for 1.5 s, slowly forward, then into the object with full lean.
+    """Lean commands of a steady push in {R} [rad].
+
+    The robot stands still for 1.5 s, moves slowly forward, and then leans into the object.
 
     Args:
         cfg: settings.
-        obs: of W worlds.
-        objects: poses in {W} of the objects that are pushed.
-        faces: that are pushed.
-        last: lean commands before.
-        touching: whether the object has been touched.
-        lateral: place along the face that the robot keeps to, to its left [m].
+        obs: observation of W worlds.
+        objects: poses of the pushed objects in {W}.
+        faces: pushed faces in {O}, rows of `faces_of` or `corners_of`.
+        last: lean commands of the last sample [rad].
+        touching: whether each object has been touched.
+        lateral: lateral position to keep, from the centre of the face to the robot's left [m].
     """
     in_face = se2.relative(se2.compose(objects, faces[:, :3]), obs.robot_pose)
     velocity = se2.rotate(obs.robot_twist[:, :2], -obs.robot_pose[:, 2])
@@ -113,36 +121,36 @@ def steady_lean(
     lean = np.array(velocity_to_lean(Gains(), velocity, obs.lean_rate, wish))
     full = cfg.lean * np.clip((cfg.speed - velocity[:, 0]) / 0.1, -0.5, 1.0)
     off = -in_face[:, 0] - REACH - HAND_RADIUS > 0.10
-    # Out of touch the hands follow the object at its own pace; in touch the lean grows by no more than 0.1 rad/s.
+    # Hands more than 0.1 m away from the face approach it at 0.12 m/s. Otherwise the lean grows by at most 0.1 rad/s.
     grown = last[:, 0] + np.clip(full - last[:, 0], -0.2 * DT, 0.1 * DT)
     lean[:, 0] = np.where(touching & ~off, grown, lean[:, 0])
     return lean
 
 
 def manipulable(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
-    """Whether the robot's steady push on face ``side`` moves the object along the push."""
+    """Whether the robot's steady push on face ``side`` moves the object by at least ``cfg.distance`` along the push."""
     return steady_push(condition, side, cfg) >= cfg.distance
 
 
 def near_border(condition: Condition, side: int = 0, cfg: SteadyPush = SteadyPush()) -> bool:
     """Whether the steady push on face ``side`` moves the object by a distance within `BORDER`.
 
-    There a little more lean or time would have changed the verdict, so a wrong one says less than elsewhere.
+    A little more lean or time would change the verdict there, so a wrong decision means less than elsewhere.
     """
     if not manipulable(condition, side, cfg):
         return steady_push(condition, side, cfg) >= BORDER[0]
-    # A push ends at the threshold; how far this one would have gone only a longer one tells.
+    # A push ends at the threshold, so only a longer push shows how far the object moves.
     return steady_push(condition, side, replace(cfg, distance=BORDER[1])) < BORDER[1]
 
 
 def draw_immovable(kind: str, family: str, seed: int) -> Condition:
-    """An object of a kind that ought not to move; whether it does, the plant must say.
+    """An object of a kind that should not move. Only a push in the plant shows whether it does.
 
     Args:
         kind: heavy (a load of 1.5 to 4 times what the robot can push), brakes (two wheels locked, a person's load) or
             fixed (to the floor: so heavy and so rough that nothing moves it).
-        family: of the object; a box has no brakes and is drawn heavy instead.
-        seed: draws everything.
+        family: family of the object. A box has no brakes and is drawn heavy instead.
+        seed: seed of all random properties.
     """
     rng = np.random.default_rng([seed, IMMOVABLE.index(kind)])
     drawn = draw_condition(family, seed)
@@ -162,19 +170,21 @@ def draw_immovable(kind: str, family: str, seed: int) -> Condition:
 def near_border_by_load(
     condition: Condition, side: int, moves: bool, cfg: SteadyPush = SteadyPush()
 ) -> Condition | None:
-    """The object so laden that the steady push on face ``side`` moves it only just far enough, or nearly.
+    """The object with a load for which the steady push on face ``side`` moves it by a distance within `BORDER`.
 
     Args:
-        condition: all but the load is kept, which is found by bisection.
-        side: index of the face that is pushed.
-        moves: whether it is manipulable, just, or not, nearly; both are within `BORDER`.
+        condition: object. Bisection changes its load and keeps everything else.
+        side: index of the pushed face in `faces_of`.
+        moves: True for a progress from the threshold up, False for a progress below the threshold.
+        cfg: settings of the push.
 
     Returns:
-        The object; None if no load up to `HEAVIEST` does it.
+        The object; None if the bisection finds no such load up to `HEAVIEST`.
     """
     nearest, farthest = (cfg.distance, BORDER[1]) if moves else (BORDER[0], cfg.distance)
     light, heavy = 0.0, HEAVIEST
-    # To 0.1 kg. Nothing to be solved for: any load within the band will do, and what sticks leaves it in a jump.
+    # Twelve steps resolve 0.1 kg. Any load within the band is accepted. The progress of an object that starts to stick
+    # jumps, so the band may stay empty.
     for _ in range(12):
         load = round((light + heavy) / 2, 3)
         moved = steady_push(replace(condition, payload=load), side, replace(cfg, distance=farthest))

@@ -35,10 +35,16 @@ def write_failures(
     store: Path,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Path:
-    """Write ``folder / failures.md``, the failed runs among one policy's ``rows`` by cause, with a film of each.
+    """Write ``folder / failures.md``, a list of failed runs by cause, with a film of each from above.
 
-    Films, from above, are made of what `keep_failure` has put into ``store``, and kept there. ``progress`` takes
-    (stage, share of the films that is done).
+    Args:
+        folder: folder of the list.
+        rows: rows of all runs of one policy.
+        store: folder with the runs that `keep_failure` has kept. The films are written there too.
+        progress: called with (stage, fraction of the films done).
+
+    Returns:
+        The path of the list.
     """
     failed = [row for row in rows if not row["success"]]
     by_cause: dict[str, list[str]] = defaultdict(list)

@@ -23,16 +23,23 @@ COMPARED = {
 }
 """Measures by which policies are compared: label, and whether a larger value is better."""
 FAILURE_S = 120.0
-"""Regret that a failure counts as [s]."""
+"""Regret of a failed run [s]."""
 TIE_S = 3.0
-"""Largest excess over the reference time of a right first choice [s]."""
+"""Maximum excess of a right first choice over the reference time [s]."""
 EXTRA_BANDS = {"to_5m": (0.0, 5.0), "to_15m": (5.0, 15.0), "over_15m": (15.0, 1e3), "no_way_round": None}
 """Ranges of the extra length of the way round [m]."""
 _GRAVITY = 9.81
 
 
 def effort_by_mass(robot_mass: float, driven: float, masses: list[float], moved: list[float]) -> float:
-    """Effort efficiency m0 l0 / (m0 l0 + sum m_i l_i): 1 if nothing was moved (Interactive Gibson, Bench-NPIN)."""
+    """Effort efficiency m0 l0 / (m0 l0 + sum m_i l_i): 1 if nothing was moved (Interactive Gibson, Bench-NPIN).
+
+    Args:
+        robot_mass: mass m0 of the robot [kg].
+        driven: length l0 of the robot's path [m].
+        masses: mass m_i of each object [kg].
+        moved: distance l_i that each object was moved [m].
+    """
     own = robot_mass * driven
     return float(own / max(own + float(np.dot(masses, moved)), 1e-9)) if driven > 0 else 1.0
 
@@ -41,25 +48,32 @@ def effort_by_force(robot_mass: float, force: np.ndarray) -> float:
     """Effort efficiency G T / (G T + sum |F_t| dt) with the robot's weight G: 1 if it pushed nothing.
 
     Args:
-        robot_mass: [kg].
-        force: ``[T, 2]`` of the hands on objects, in equal steps of time [N].
+        robot_mass: mass of the robot [kg].
+        force: ``[T, 2]`` force of the hands on objects in equal time steps [N].
     """
     own = robot_mass * _GRAVITY * len(force)
     return float(own / (own + np.linalg.norm(force, axis=1).sum())) if len(force) else 1.0
 
 
 def interactive_score(efficiency: float, by_mass: float, by_force: float) -> float:
-    """The interactive navigation score INS_0.5: half path, half effort efficiency (the mean of its parts)."""
+    """Interactive navigation score INS_0.5: half path efficiency, half effort efficiency (the mean by mass and force).
+
+    Args:
+        efficiency: path efficiency.
+        by_mass: effort efficiency by mass moved.
+        by_force: effort efficiency by force.
+    """
     return 0.5 * efficiency + 0.25 * (by_mass + by_force)
 
 
 def choice_of(result: dict[str, Any], trace: Any, generated: Generated) -> dict[str, Any]:
-    """Compare a run with the certificate. All values are None without one.
+    """Compare a run with the certificate. All values are None if there is no certificate or no option works.
 
     Returns:
-        ``reference_s``: time of the best option [s], None if none works. ``regret_s``: time of the run minus it,
-        `FAILURE_S` for a failure. ``first_choice``: the object that was touched first, None if none was.
-        ``right_choice``: whether the best certified option that begins so is within `TIE_S` of the reference.
+        ``reference_s``: time of the fastest option [s]. ``regret_s``: time of the run minus the reference, or
+            `FAILURE_S` for a failure [s].
+        ``first_choice``: the object that was touched first, None if none was. ``right_choice``: whether the fastest
+            certified option with this first choice is within `TIE_S` of the reference.
     """
     told = generated.certificate
     if told is None or told.reference_s is None:
@@ -75,7 +89,7 @@ def choice_of(result: dict[str, Any], trace: Any, generated: Generated) -> dict[
 
 
 def _touched_first(trace: Any, half_extents: list[Any]) -> int | None:
-    """The object nearest to the robot at the first contact of its hands."""
+    """The object nearest to the robot at the first contact of its hands; None without a contact."""
     felt = np.flatnonzero(np.linalg.norm(np.asarray(trace.force), axis=1) > CONTACT_FORCE)
     if not felt.size:
         return None
@@ -109,7 +123,7 @@ def cause_of(result: dict[str, Any], generated: Generated) -> str:
 
 
 def _wrong_verdict(result: dict[str, Any], generated: Generated) -> str:
-    """The first wrong decision among the last decisions on each object."""
+    """The first wrong decision among the last decisions on each object; empty if all are right."""
     last = {d["object"]: d["manipulable"] for d in result["decisions"]}
     for number, decided in sorted(last.items()):
         given_up = result["objects"][number]["status"] == "fixed"
@@ -123,9 +137,9 @@ def _wrong_verdict(result: dict[str, Any], generated: Generated) -> str:
 def measure(rows: list[dict[str, Any]], policies: tuple[str, ...]) -> dict[str, Any]:
     """Metrics of all policies, and differences between ours and each other policy.
 
-    ``baseline_NAME_*`` are the metrics of policy NAME, ours have no prefix. ``difference_NAME_METRIC`` with ``_low``,
-    ``_high`` and ``_pairs`` is the mean difference over the scenarios that both ran, with its 95 % interval and the
-    number of scenarios. Times are compared on scenarios that both solve.
+    ``baseline_NAME_*`` are the metrics of policy NAME. Ours have no prefix. ``difference_NAME_METRIC`` is the mean
+    difference over the scenarios that both policies ran. ``_low`` and ``_high`` are its 95 % interval, and ``_pairs``
+    is the number of scenarios. Times are compared on scenarios that both policies solve.
     """
     of = {policy: {(r["map"], r["scenario"]): r for r in rows if r["policy"] == policy} for policy in policies}
     metrics = metrics_by_method(of, _of_policy, _differences)
@@ -201,7 +215,7 @@ def _time_ratio(ours: dict[Any, Any], oracle: dict[Any, Any]) -> float | None:
 
 
 def _what_neither_can(of: dict[str, dict[Any, Any]]) -> dict[str, int]:
-    """Number of scenarios that neither always nor never pushing solves, and of those that ours solves."""
+    """Number of scenarios that neither always_avoid nor always_push solves, and how many of them ours solves."""
     simple = [of[p] for p in ("always_avoid", "always_push") if of.get(p)]
     if len(simple) < 2:
         return {}
@@ -212,7 +226,7 @@ def _what_neither_can(of: dict[str, dict[Any, Any]]) -> dict[str, int]:
 
 
 def _of_scenarios(rows: list[dict[str, Any]]) -> dict[str, int]:
-    """Number of scenarios of each kind and by number of objects."""
+    """Number of scenarios of each kind, and by number of objects."""
     scenarios = list({(r["map"], r["scenario"]): r for r in rows}.values())
     metrics = dict[str, int]()
     for kind in KINDS:

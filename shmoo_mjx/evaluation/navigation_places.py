@@ -33,10 +33,10 @@ class _Place(BaseModel):
 
 
 class SetEntry(Generated, _Place):
-    """A scenario of a scenario set: where it takes place, the kind that it was to be, and what is known about it."""
+    """A scenario of a scenario set, with its place, its wanted kind, and its known properties."""
 
     border: Any = Field(None, exclude=True)
-    """In older files; ignored."""
+    """Field of some files that has no effect."""
 
 
 @dataclass(frozen=True)
@@ -44,31 +44,37 @@ class Places:
     """Maps, and the folder of the scenarios drawn on them."""
 
     maps: dict[str, Path]
-    """Name to YAML."""
+    """YAML file of each map by name."""
     scenarios: Path
     """Folder of the drawn scenarios. Drawing takes minutes and does not depend on policies or weights."""
     first_unseen: int
     """Seed of the first object."""
     config: ScenarioConfig
     entries: Mapping[str, SetEntry] | None = None
-    """Scenarios of a scenario set by MAP-NUMBER, in place of drawn ones."""
+    """Scenarios of a scenario set by MAP-NUMBER; None to draw scenarios."""
 
 
 def find_places(options: ExperimentOptions, folder: Path, config: ScenarioConfig, most: int | None = None) -> Places:
-    """The maps of ``options.maps``, or else generated buildings, which are written into ``folder``; ``most`` of them.
+    """The maps of ``options.maps``, or generated buildings if it is None.
+
+    Args:
+        options: its condition_seed draws the buildings and the objects.
+        folder: folder of the generated buildings and the drawn scenarios.
+        config: settings of the scenarios.
+        most: maximum number of maps; None for all.
 
     Raises:
-        ShmooError: ``options.maps`` holds none.
+        ShmooError: ``options.maps`` contains no map, or two maps with one name.
     """
     maps = _buildings(folder / "plans", options.first_unseen) if options.maps is None else find_maps(options.maps)
     return Places(dict(list(maps.items())[:most]), folder / "scenarios", options.first_unseen, config)
 
 
 def find_maps(folder: Path) -> dict[str, Path]:
-    """Name to YAML of every map_server map (*.yaml or *.yml) below ``folder``.
+    """The YAML file of every map_server map (*.yaml or *.yml) below ``folder``, by name.
 
     Raises:
-        ShmooError: there is none, or there are two of one name.
+        ShmooError: there is no map, or there are two maps with one name.
     """
     files = [p for p in yaml_files(folder, below=True) if "image:" in p.read_text(errors="replace")]
     if not files:
@@ -98,7 +104,7 @@ def extras_of(map_name: str, number: int) -> list[Extra]:
 
 
 def kept_scenario(places: Places, grid: OccupancyGrid, map_name: str, number: int) -> tuple[Kind, Generated | None]:
-    """The wanted kind of scenario ``number`` of a map, and the scenario; None if the map has no place for any."""
+    """The wanted kind of scenario ``number`` of a map, and the scenario. It is None if the map has no place for any."""
     if places.entries is not None:
         entry = places.entries[f"{map_name}-{number}"]
         return entry.wanted, entry
@@ -121,8 +127,17 @@ def kept[Form: BaseModel](
 ) -> Form | None:
     """The result of ``draw`` for the first range of the extra length that the map has a place for, or None.
 
-    It is kept in a file that belongs to the function, the map, the settings and the plant. The first entry of
-    ``number`` is that of the scenario. Number, map and objects determine the random numbers.
+    The result is kept in a file. Its name contains a fingerprint of the map, the settings and the code, which includes
+    the plant.
+
+    Args:
+        places: folder and settings of the scenarios.
+        grid: map.
+        map_name: name of the map.
+        number: number of the scenario on the map, and further numbers that identify the result. They seed the random
+            numbers together with the name of the map and the seed of the first object.
+        form: type of the result.
+        draw: (range of the extra length, random state) -> result. A ShmooError means that the map has no place.
     """
     settings = {
         "frame": [grid.resolution, *grid.origin],

@@ -1,4 +1,4 @@
-"""An object's outline from where a round pusher touched it: a convex polygon, and the pusher's contact with it."""
+"""Outline of an object from its contacts with a round pusher: a convex polygon, and contacts of points with it."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from shmoo_mjx.arrays import Array
 from shmoo_mjx.geometry import se2
 
 _TOLERANCE = 1e-3
-"""Corners of the hull that stick out less than this are noise [m]."""
+"""Corners of the hull that protrude by less than this count as noise [m]."""
 _SHORTEST = 4e-3
-"""Shorter faces of the hull are noise [m]."""
+"""Faces of the hull shorter than this count as noise [m]."""
 
 
 class Touch(NamedTuple):
-    """The point of the outline nearest to each of N points."""
+    """Contact of each of N points with the outline."""
 
     point: Array
-    """``[N, 2]``"""
+    """``[N, 2]`` nearest point of the outline [m]."""
     normal: Array
-    """``[N, 2]`` unit vector from there outwards."""
+    """``[N, 2]`` outward unit vector at the nearest point."""
     distance: Array
-    """``[N]`` negative inside [m]."""
+    """``[N]`` distance from the outline, negative inside [m]."""
 
 
 def estimate(touched: np.ndarray, radius: float, refine: int = 3) -> np.ndarray:
-    """The outline's corners ``[M, 2]``, anticlockwise.
+    """Corners ``[M, 2]`` of the outline, anticlockwise [m].
 
-    The hull of the pusher's centres lies outside of the noise, so each of its faces is fitted again to the points near
-    it; then all faces are moved inwards by the pusher's radius, which makes the corners sharp.
+    Noise moves the convex hull of the pusher's centres outwards, so each face of the hull is fitted again to the points
+    near it. Then all faces are moved inwards by the radius of the pusher, which gives sharp corners.
 
     Args:
         touched: ``[N, 2]`` centres of the pusher while it touched the object, in the object's frame [m].
-        radius: of the pusher [m].
-        refine: times that the faces are fitted.
+        radius: radius of the pusher [m].
+        refine: number of times that the faces are fitted.
     """
-    # The centre of a round pusher goes round a right angle on an arc with a chord of 1.41 radii.
+    # The centre of a round pusher follows an arc with a chord of 1.41 radii around a right angle. It is no face.
     normals, offsets = _faces(_corners(touched), max(1.5 * radius, _SHORTEST))
     for _ in range(refine):
         nearest = np.argmax(touched @ normals.T - offsets, axis=1)
@@ -52,9 +52,9 @@ def estimate(touched: np.ndarray, radius: float, refine: int = 3) -> np.ndarray:
 
 
 def align(points: Array, touched: Array) -> np.ndarray:
-    """``points [N, 2]`` of another recording of the same shape, moved onto the outline of ``touched [M, 2]``.
+    """``points [N, 2]`` of another recording of the same shape, moved onto the outline of ``touched [M, 2]`` [m].
 
-    The markers that an object's pose is measured by are put on anew for each recording.
+    The frames of two recordings differ, because the markers on the object are attached anew for each recording.
     """
     corners = estimate(np.asarray(points), 0.0)
 
@@ -68,11 +68,11 @@ def align(points: Array, touched: Array) -> np.ndarray:
 
 
 def contact(points: Array, corners: Array) -> Touch:
-    """Nearest point of the polygon ``corners [M, 2]`` for each of ``points [N, 2]``."""
+    """Contact of each of ``points [N, 2]`` with the polygon ``corners [M, 2]``, in one frame [m]."""
     edge = np.roll(corners, -1, axis=0) - corners
     edge_x, edge_y = edge.T
     length = np.hypot(edge_x, edge_y)
-    # Coordinate by coordinate: NumPy is slow at sums over an axis of two.
+    # The coordinates are separate, because NumPy is slow at sums over an axis of length two.
     x, y = points[:, :1] - corners[:, 0], points[:, 1:] - corners[:, 1]
     inside = np.max((x * edge_y - y * edge_x) / length, axis=1) < 0.0
     along = np.clip((x * edge_x + y * edge_y) / length**2, 0.0, 1.0)
@@ -82,20 +82,20 @@ def contact(points: Array, corners: Array) -> Touch:
     away = np.stack([away_x[row, face], away_y[row, face]], axis=1)
     distance = np.sqrt(squared[row, face])
     outward = np.stack([edge_y, -edge_x], axis=1)[face] / length[face, None]
-    # On the outline, or inside of it, the face's own normal.
+    # Points on or inside the outline get the normal of the face.
     own = (inside | (distance < 1e-6))[:, None]
     normal = np.where(own, outward, away / np.maximum(distance, 1e-12)[:, None])
     return Touch(points - away, normal, np.where(inside, -distance, distance))
 
 
 def size(corners: Array) -> float:
-    """Radius of the disc of the same area [m]."""
+    """Radius of the disc with the same area as the polygon ``corners [M, 2]`` [m]."""
     x, y = corners.T
     return float(np.sqrt(0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / np.pi))
 
 
 def _corners(points: Array) -> np.ndarray:
-    """Corners of the hull, without those that hardly stick out."""
+    """Corners of the convex hull, without those that protrude by less than `_TOLERANCE`."""
     corners = points[ConvexHull(points).vertices]
     while len(corners) > 3:
         before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
@@ -109,7 +109,7 @@ def _corners(points: Array) -> np.ndarray:
 
 
 def _faces(corners: Array, shortest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Outward normals and offsets of the faces that are long enough."""
+    """Outward normals ``[F, 2]`` and offsets ``[F]`` [m] of the faces longer than ``shortest`` [m]."""
     edge = np.roll(corners, -1, axis=0) - corners
     length = np.linalg.norm(edge, axis=1)
     normals = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / length[:, None]
@@ -118,12 +118,13 @@ def _faces(corners: Array, shortest: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fit_face(points: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float]:
-    """The face turned and moved onto the points nearest to it."""
+    """Normal and offset of the face, fitted to the points nearest to it."""
     if len(points) < 3:
         return normal, offset
     tangent = np.array([-normal[1], normal[0]])
     spread = points - points.mean(axis=0)
-    # Three points' worth of a slope of zero over 1 cm: few points close together say little about the direction.
+    # The prior for the slope is zero, with the weight of three points at 1 cm, because few points close together do not
+    # determine the direction.
     slope = (spread @ normal) @ (spread @ tangent) / (np.sum((spread @ tangent) ** 2) + 3 * 0.01**2)
     turned = normal - slope * tangent
     turned /= np.linalg.norm(turned)

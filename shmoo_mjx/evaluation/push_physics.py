@@ -1,7 +1,7 @@
 """Quasi-static pushing: an ellipsoidal limit surface and Coulomb friction at the pusher, integrated over the push.
 
-The motion per step is V = B w for the wrench w of the pusher's force, B a symmetric positive matrix (Goyal's limit
-surface as an ellipsoid); the force keeps the pusher from entering the outline and lies in the friction cone.
+The motion per step is V = B w. w is the wrench of the pusher's force, and B is a symmetric positive definite matrix
+(Goyal's limit surface as an ellipsoid). The force keeps the pusher outside the outline and lies in the friction cone.
 """
 
 from __future__ import annotations
@@ -14,22 +14,23 @@ from shmoo_mjx.evaluation import push_outline
 from shmoo_mjx.geometry import se2
 
 NOMINAL = np.array([np.log(0.6), np.log(0.2), 0.0, 0.0, 0.0, 0.0, 0.0])
-"""The parameters: log of (radius of gyration of friction / size), log of the friction coefficient at the pusher, two of
-the anisotropy of friction under the object, the centre of friction (x, y) / size, and a gap before contact / size."""
+"""Nominal parameters: log of (radius of gyration of friction / size), log of the friction coefficient at the pusher,
+two parameters of the anisotropy of friction under the object, centre of friction (x, y) / size, and gap before contact
+/ size."""
 SPREAD = np.array([0.3, 0.4, 0.15, 0.15, 0.1, 0.1, 0.02])
-"""How much each may differ from the nominal value."""
+"""Standard deviation of each parameter about its nominal value."""
 
 
 def push(start: Array, end: Array, corners: Array, radius: float, *, parameters: Array, steps: int = 60) -> np.ndarray:
-    """Motion ``[P, N, 3]`` of the object in its first frame [m, m, rad], for each of P sets of parameters.
+    """Motion ``[P, N, 3]`` of the object in its frame before the push [m, m, rad], for each of P sets of parameters.
 
     Args:
-        start: ``[N, 2]`` the pusher's centre before, in the object's frame [m].
-        end: ``[N, 2]`` and after, in the same frame; between them it goes straight.
-        corners: ``[M, 2]`` the outline [m].
-        radius: of the pusher [m].
-        parameters: ``[P, 7]`` as NOMINAL.
-        steps: of the integration.
+        start: ``[N, 2]`` centre of the pusher before the push, in the object's frame [m].
+        end: ``[N, 2]`` centre of the pusher after the push, in the same frame [m]. The pusher moves straight.
+        corners: ``[M, 2]`` corners of the outline [m].
+        radius: radius of the pusher [m].
+        parameters: ``[P, 7]`` parameters in the order of NOMINAL.
+        steps: number of integration steps.
     """
     scale, shape = push_outline.size(corners), (len(parameters), len(start), 3)
     mobility = np.repeat([_mobility(p, scale) for p in parameters], len(start), axis=0)
@@ -47,9 +48,15 @@ def push(start: Array, end: Array, corners: Array, radius: float, *, parameters:
 def identify(
     start: Array, end: Array, motion: Array, *, corners: Array, radius: float, prior: tuple[Array, Array] | None = None
 ) -> np.ndarray:
-    """The parameters ``[7]`` that explain the measured ``motion [N, 3]`` of some pushes best, outliers counting less.
+    """Parameters ``[7]`` that explain the measured motion of N pushes best, with a robust loss and a normal prior.
 
-    ``prior`` is their mean and standard deviation (default: NOMINAL and SPREAD); the rest is as in `push`.
+    Args:
+        start: as in `push`.
+        end: as in `push`.
+        motion: ``[N, 3]`` measured motion of the object in its frame before the push [m, m, rad].
+        corners: as in `push`.
+        radius: as in `push`.
+        prior: mean and standard deviation of the parameters (default: NOMINAL and SPREAD).
     """
     mean, spread = prior or (NOMINAL, SPREAD)
     noise = 0.1 * np.linalg.norm(end - start, axis=1).mean()
@@ -60,7 +67,7 @@ def identify(
         return np.concatenate([error.reshape(len(parameters), -1), (parameters - mean) / spread], axis=1)
 
     def jacobian(parameters: Array) -> np.ndarray:
-        # The push is only piecewise smooth: differences over a tenth of the spread.
+        # The push is only piecewise smooth, so the step of the differences is as large as a tenth of the spread.
         step = SPREAD / 10
         high, low = np.split(residuals(parameters + np.concatenate([np.diag(step), -np.diag(step)])), 2)
         return np.asarray((high - low).T / (2 * step))
@@ -77,14 +84,14 @@ def identify(
 
 
 def start_of_push(start: Array, end: Array, corners: Array, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Start and end moved along the normal so that the pusher just touches at the start."""
+    """``start`` and ``end [N, 2]``, moved along the normal so that the pusher just touches at the start [m]."""
     touch = push_outline.contact(start, corners)
     shift = (radius - touch.distance)[:, None] * touch.normal
     return np.asarray(start + shift), np.asarray(end + shift)
 
 
 def _mobility(parameters: Array, scale: float) -> np.ndarray:
-    """B ``[3, 3]`` about the frame's origin."""
+    """Matrix B ``[3, 3]`` about the origin of the object's frame."""
     gyration = np.exp(parameters[0]) * scale
     b = np.diag([1 + parameters[2], 1 - parameters[2], 1 / gyration**2])
     b[0, 1] = b[1, 0] = parameters[3]
@@ -94,12 +101,13 @@ def _mobility(parameters: Array, scale: float) -> np.ndarray:
 
 
 def _twist(tip: Array, travel: Array, corners: Array, radius: float, *, mobility: Array, friction: Array) -> np.ndarray:
-    """What the object does ``[N, 3]`` as the pusher arrives at ``tip`` after ``travel``, all in its frame."""
+    """Motion ``[N, 3]`` of the object while the pusher arrives at ``tip`` after ``travel``, all in the object's
+    frame."""
     touch = push_outline.contact(tip, corners)
     depth, (nx, ny), (cx, cy) = radius - touch.distance, -touch.normal.T, touch.point.T
     approach, slide = travel[:, 0] * nx + travel[:, 1] * ny, travel[:, 1] * nx - travel[:, 0] * ny
     slide = slide * np.clip(depth / np.maximum(approach, 1e-9), 0.0, 1.0)
-    # Rows of the map from a force at the contact to the twist, and what the contact point gives way by.
+    # Columns of the map from a force at the contact to the twist, and the compliance of the contact point.
     from_x = mobility[:, :, 0] - cy[:, None] * mobility[:, :, 2]
     from_y = mobility[:, :, 1] + cx[:, None] * mobility[:, :, 2]
     xx, xy = from_x[:, 0] - cy * from_x[:, 2], from_x[:, 1] + cx * from_x[:, 2]

@@ -1,7 +1,7 @@
 """Draws and runs the trials of the pushing experiment.
 
-A trial has an unseen object, a goal, start poses of object and robot, a robot with its own parameters, and a change on
-the way: extra mass, a brake pressed on one wheel, or none.
+A trial has an unseen object, a goal, start poses of object and robot, a robot with its own parameters, and a change
+during the push: extra mass, a brake on one wheel, or none.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from shmoo_mjx.plant.scene import Scene, build_scene
 from shmoo_mjx.sensing import REAL, SensedEngine, Senses
 
 METHODS = ("ours", "frozen_prior", "contact_model", "oracle_coefficients", "quasi_static", PAPER)
-"""Ours is MPPI with online estimation of the contact parameters. The others do not adapt, use the contact model without
-psi, use the posterior of a long recording of the same object, use no learned model, and are the paper's system
-(`shmoo_mjx.behavior.methods`)."""
+"""Methods in this order: MPPI with online estimation of the contact parameters (ours); the same without adaptation; the
+contact model without psi; the posterior from a long recording of the same object; no learned model; and the paper's
+system (`shmoo_mjx.behavior.methods`)."""
 
 OWN = "pushing controller"
 """Name of a user's own method in error messages."""
@@ -40,17 +40,17 @@ OWN = "pushing controller"
 EVERYTHING = "everything"
 STRATA = ("movable", "demanding", EVERYTHING)
 """Movable objects have no locked wheel and at most 32 N of resistance. Demanding objects are at the edge of the
-training distribution or beyond, and all change on the way. The last stratum has objects as drawn: none is left out, and
-none changes."""
+training distribution or beyond, and all change during the push. The last stratum has all objects as drawn, and none
+changes."""
 
 GOALS = ((1.2, 0.0), (1.3, 0.28), (1.7, -0.42))
-"""Positions of the three goals in {W} [m]; an object starts near the origin, its x axis about along x of {W}. They
-lie straight ahead, to the left, and farther to the right. The paper shows its goals only in a figure and calls them
-dynamically feasible. The yaw of a goal is therefore the yaw at the end of the arc that starts along x, which is twice
-the bearing (24 and -28 deg). Light and heavy objects can follow these arcs (curvature 0.32 and 0.27 per metre)."""
+"""Positions of the three goals in {W} [m]: straight ahead, to the left, and farther to the right. An object starts near
+the origin, with its x axis about along x of {W}. The paper shows its goals only in a figure and calls them dynamically
+feasible. The yaw of a goal is therefore the yaw at the end of the arc that starts along x, which is twice the bearing
+(24 and -28 deg). Light and heavy objects can follow these arcs (curvature 0.32 and 0.27 per metre)."""
 
 _MOST = {"movable": 40.0, "demanding": 45.0}
-"""Largest resistance before and after the change [N]: about half of the force at the robot's lean limit."""
+"""Maximum resistance before and after the change [N]: about half of the force at the robot's lean limit."""
 STRONGEST = 75.0
 """Resistance above which no push moves an object straight on [N]. A steady push at the lean limit
 (`manipulable.steady_push`) moves boxes of 70 N but not of 80 N."""
@@ -62,7 +62,7 @@ KINDS = {
 }
 """Kinds of objects in the stratum "everything": name to label."""
 _LEAST_HEAVY = 25.0
-"""Least resistance of heavy demanding objects [N]."""
+"""Minimum resistance of heavy demanding objects [N]."""
 _DEMANDS = {
     "box": ("off_centre", "heavy", "floor"),
     "cart": ("off_centre", "heavy", "floor", "brake"),
@@ -77,17 +77,20 @@ class Trial:
 
     family: str
     goal: int
-    """1 to 3."""
+    """Number of the goal, 1 to 3."""
     run: int
+    """Number of the run of this family and goal, from 0."""
     condition: Condition
     changed: Condition
     """The object after the change; equal to ``condition`` if nothing changes."""
     change: str
-    """none, mass or brake."""
+    """Kind of the change: none, mass or brake."""
     change_at: float
-    """Share of the distance to the goal after which the object changes [1]."""
+    """Fraction of the distance to the goal after which the object changes [1]."""
     object_pose: tuple[float, float, float]
+    """Pose of the object in {W} at the start [m, m, rad]."""
     robot_pose: tuple[float, float, float]
+    """Pose of the robot in {W} at the start [m, m, rad]."""
     seed: int
     """Seed of the robot's parameters, its sensors and the controller."""
     stratum: str = STRATA[0]
@@ -103,7 +106,7 @@ class Trial:
 
     @property
     def goal_pose(self) -> np.ndarray:
-        """``[3]`` in {W}."""
+        """Pose ``[3]`` of the object at the goal in {W} [m, m, rad]."""
         x, y = GOALS[self.goal - 1]
         return np.array([x, y, 2 * np.arctan2(y, x)])
 
@@ -127,7 +130,7 @@ def _movable(family: str, first_seed: int, count: int) -> list[tuple[Condition, 
 def _demanding(family: str, first_seed: int, count: int) -> list[tuple[Condition, str]]:
     """``count`` demanding objects with their demands. Objects that cannot meet their demand are drawn again."""
     objects: list[tuple[Condition, str]] = []
-    # Other objects than those of `_movable`, of the same 1,000 seeds.
+    # The offset of 400 keeps these objects apart from those of `_movable` within the same 1,000 seeds.
     for seed in range(first_seed + 400, first_seed + 1000):
         if len(objects) == count:
             break
@@ -194,7 +197,15 @@ def _changed(rng: np.random.Generator, condition: Condition, kind: str, most: fl
 def draw_trials(
     first_unseen: int, seed: int, runs: int, *, goals: tuple[int, ...] = (1, 2, 3), stratum: str = STRATA[0]
 ) -> list[Trial]:
-    """All trials of a stratum: families x goals x runs. Run r of a family has the same object for each goal."""
+    """All trials of a stratum: families x goals x runs. Run r of a family has the same object for each goal.
+
+    Args:
+        first_unseen: first seed of the objects.
+        seed: seed of the poses, changes and robots, together with ``first_unseen``.
+        runs: number of objects of each family.
+        goals: numbers of the goals, 1 to 3.
+        stratum: one of STRATA.
+    """
     trials = []
     stream = [at] if (at := STRATA.index(stratum)) else []
     for number, family in enumerate(FAMILIES):
@@ -225,7 +236,7 @@ def scene_of_trial(trial: Trial, condition: Condition, senses: Senses) -> Scene:
 def task_of(
     condition: Condition, goal: Array, pusher: Pusher, *, seed: int, adapt: LearnerState | None = None
 ) -> PushTask:
-    """The task of pushing an object near the origin of an open floor to the pose ``goal [3]``."""
+    """The task of pushing an object near the origin of an open floor to the pose ``goal [3]`` in {W}."""
     grid = OccupancyGrid(np.zeros((240, 240), np.int8), 0.05, (-6.0, -6.0, 0.0))
     kinds = [kind_of(condition)]
     return PushTask(grid, [condition.half_extents], goal, pusher, seed=seed, adapt=adapt, kinds=kinds)
@@ -275,11 +286,15 @@ class Runner:
         self._pushers: dict[str, Pusher] = {}
 
     def run(self, trial: Trial, method: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """The row of a trial, and its track: t, object_pose, robot_pose (true poses), phase, qpos, lean."""
+        """Run one trial with one of METHODS or a user's own method.
+
+        Returns:
+            The row of the trial, and its track: t, object_pose, robot_pose (true poses), phase, qpos, lean.
+        """
         if method not in self._pushers:
             self._pushers[method] = _pusher(method, self.weights, self.config)
         scene = scene_of_trial(trial, trial.condition, self.senses)
-        # The robot is told the pose of the object, because finding it is not part of the task.
+        # The robot knows the pose of the object, because detection is not part of the task.
         engine = SensedEngine([scene], self.senses, trial.seed, poses_known=True)
         adapt, adapt_after = None, None
         if method == "oracle_coefficients":
@@ -361,7 +376,7 @@ def _row(
 
 
 def _arm_margin(scene: Scene, qpos: np.ndarray) -> float:
-    """Least distance of the arms' joints to their limits over ``qpos [T, nq]`` [rad]."""
+    """Minimum distance of the arms' joints from their limits over ``qpos [T, nq]`` [rad]."""
     names = [
         f"robot/{side}_{part}" for side in ("left", "right") for part in ("shoulder_yaw", "shoulder_pitch", "elbow")
     ]

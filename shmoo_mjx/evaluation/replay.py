@@ -1,10 +1,10 @@
-"""What a recording leaves to be predicted: the plant itself, told everything, pushed by each sample's mean wrench.
+"""Replay of recordings in the plant with the true object, pushed by the mean wrench of each sample.
 
-A predictor sees a sample's mean planar wrench. The hands' forces vary within the sample and pull up or down on the
-face, and the object sags and tips a little; none of that is among psi's inputs. So even the simulator with the true
-object misses some of the acceleration: a reference for the predictors of the comparison, though no bound, as what was
-missed a sample ago may say something of it. Rolled out for seconds under recorded wrenches, which hover about the
-friction, it strays as well.
+A predictor sees the mean planar wrench of a sample. Within the sample the forces of the hands vary and have a vertical
+part, and the object sags and tips a little. None of this is among the inputs of psi, so even the simulator with the
+true object misses part of the acceleration. The replay is a reference for the predictors of the comparison. It is no
+lower bound of their error, because the error of one sample may contain information about the next. Roll-outs of the
+replay over seconds drift as well, because the recorded wrenches stay close to the friction limit.
 """
 
 from __future__ import annotations
@@ -28,11 +28,20 @@ from shmoo_mjx.plant.objects import object_spec
 from shmoo_mjx.types import DT
 
 SETTLE = 0.4
-"""Time for the object to sink into its contacts before a recording is replayed [s]."""
+"""Time for the object to settle into its contacts before a recording is replayed [s]."""
 
 
 def score(objects: store.Dataset, scale: np.ndarray, fit_samples: int = scoring.FIT_SAMPLES) -> dict[str, np.ndarray]:
-    """The measures of `scoring` ``[C]`` of the replay, on the rows after ``fit_samples``."""
+    """Scores of the replay, with the measures of `scoring`.
+
+    Args:
+        objects: recordings of C conditions.
+        scale: ``[m]`` standard deviation of the labels over the training set.
+        fit_samples: number of first rows that are not scored.
+
+    Returns:
+        Measure -> ``[C]``.
+    """
     recorded = recordings(objects)
     rows, predicted, ends = recorded.samples, [], []
     for i, condition in enumerate(objects.conditions):
@@ -44,7 +53,7 @@ def score(objects: store.Dataset, scale: np.ndarray, fit_samples: int = scoring.
         )
         predicted.append(one_step)
         ends.append(_ends(starts, rolled, poses))
-    # The replay stands in for the inputs: a predictor that returns its inputs is scored like any other.
+    # The replayed accelerations take the place of the inputs, so a predictor that returns its inputs can be scored.
     replayed = recorded._replace(samples=rows._replace(inputs=np.stack(predicted).astype(np.float32)))
     echo = Predictor(lambda context: np.zeros(()), lambda state, x, time: x)
     scores = scoring.score(echo, replayed, scale, fit_samples, roll_outs=False)
@@ -59,21 +68,21 @@ def accelerations(
     *,
     starts: Collection[int] = (),
 ) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """What C MuJoCo says of the object alone, sample by sample and rolled out.
+    """Accelerations of the object alone in C MuJoCo, sample by sample, and roll-outs.
 
-    Each sample starts from the recorded planar pose and twist. What isn't recorded, wheels and casters, goes on from
-    the sample before, and from the condition's starting angles where an episode starts.
+    Each sample starts from the recorded planar pose and twist. Wheels and casters are not recorded. They continue from
+    the sample before, or start from the angles of the condition at the start of an episode.
 
     Args:
-        condition: of the recording.
+        condition: properties of the recorded object.
         inputs: ``[N, 13]`` as OBJECT_INPUTS lists them.
-        poses: ``[N, 3]`` of the object in {W}.
-        runs: ``[N]`` rows left in the episode.
-        starts: rows from which the object is rolled out as well, under the recorded wrenches in {O} alone.
+        poses: ``[N, 3]`` poses of the object in {W}.
+        runs: ``[N]`` number of rows left in the episode.
+        starts: rows from which the object is also rolled out, driven only by the recorded wrenches in {O}.
 
     Returns:
-        Accelerations ``[N, 3]`` in {O} over each sample, and for each start poses ``[H + 1, 3]`` in {W}, H the longest
-        of `scoring.HORIZONS`.
+        Accelerations ``[N, 3]`` in {O} over each sample, and for each start the poses ``[H + 1, 3]`` in {W}, where H is
+        the longest of `scoring.HORIZONS`.
     """
     names = {f.name for f in fields(Condition)}
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))
@@ -104,7 +113,10 @@ def accelerations(
 
 
 def _pushed(model: mujoco.MjModel, data: mujoco.MjData, body: int, wrench: np.ndarray) -> np.ndarray:
-    """Push for a sample with ``wrench [3]`` in {O}, held as it is in {W}; the object's planar pose ``[3]`` after it."""
+    """Push the object for one sample and return its planar pose ``[3]`` in {W}.
+
+    The wrench ``[3]`` is given in {O} at the start of the sample. Its direction in {W} then stays constant.
+    """
 
     def pose() -> np.ndarray:
         return np.array([*data.qpos[:2], 2 * np.arctan2(data.qpos[6], data.qpos[3])])
@@ -120,7 +132,7 @@ def _pushed(model: mujoco.MjModel, data: mujoco.MjData, body: int, wrench: np.nd
 
 
 def _ends(starts: Mapping[int, list[int]], rolled: Mapping[int, np.ndarray], poses: np.ndarray) -> dict[str, float]:
-    """Root of the mean squared error at the end of each horizon, as `scoring` has it; NaN without a stretch."""
+    """Root mean squared errors at the end of each horizon, as in `scoring`. NaN without a roll-out."""
     ends = {}
     for name, h in scoring.HORIZONS.items():
         error = np.array(

@@ -1,4 +1,4 @@
-"""A scenario set: maps, scenarios on them and what is known about each in one file, for others to compare on."""
+"""Scenario sets: maps, scenarios on them and their known properties in one file, as a common basis of comparisons."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from shmoo_mjx.run.scenario_run import checked_objects
 
 
 class _Map(BaseModel):
-    """The two files of a map_server map."""
+    """The two files of a map in the map_server format."""
 
     model_config = ConfigDict(extra="forbid")
     yaml: str
     png: str
-    """Base64."""
+    """Image as Base64 text."""
 
 
 class _Set(BaseModel):
@@ -53,10 +53,18 @@ def make_set(
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
     drawn: Path = Path("runs/scenarios"),
 ) -> int:
-    """Draw scenarios and write them with their maps into ``out``; how many there are.
+    """Draw scenarios and write them with their maps to the file ``out``.
 
-    Each of ``condition_seeds`` draws ``per_map`` scenarios on every map below ``maps``, or on buildings made
-    for it. The folder ``drawn`` keeps each scenario, so that a stopped command goes on.
+    Args:
+        out: file of the scenario set.
+        maps: folder of maps; None for buildings, which are generated for each condition seed.
+        condition_seeds: each of them draws ``per_map`` scenarios on every map.
+        per_map: number of scenarios.
+        progress: called with (stage, fraction done).
+        drawn: folder that keeps each scenario, so that an interrupted command can resume.
+
+    Returns:
+        The number of scenarios.
 
     Raises:
         ShmooError: there are no maps, they have no place for any scenario, or ``out`` is a file of another kind.
@@ -69,7 +77,7 @@ def make_set(
         named = {name: f"{name}_{seed}" if maps is None else name for name in places.maps}
         written |= {named[name]: _packed(path, named[name]) for name, path in places.maps.items()}
         trials = {f"{name}-{i}": (name, i) for name in places.maps for i in range(per_map)}
-        # What is kept of a scenario goes with its map; this list of them goes with nothing.
+        # Scenarios are kept under a fingerprint of their map and settings. These rows have none, so they are not kept.
         with TemporaryDirectory() as scratch:
             for row in run_trials(trials, partial(_drawn, places), Path(scratch), progress):
                 number = row["number"] + turn * per_map * (maps is not None)
@@ -90,7 +98,7 @@ def _packed(path: Path, name: str) -> _Map:
 
 
 def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
-    """No row if the map has no place for that scenario."""
+    """The row of one scenario; none if the map has no place for it."""
     name, number = trial
     wanted, drawn = kept_scenario(places, load_map(places.maps[name]), name, number)
     place = {"map": name, "number": number, "wanted": wanted}
@@ -98,13 +106,20 @@ def _drawn(places: Places, trial: tuple[str, int]) -> list[dict[str, Any]]:
 
 
 def find_set(name: Path) -> Path:
-    """The file of that name, or the shipped set that is called so (``arena``, ``floor_plans``)."""
+    """The file ``name`` if it exists, or else the shipped set of that name (``arena``, ``floor_plans``)."""
     shipped = asset(f"experiments/scenario_sets/{name}.json")
     return shipped if not name.is_file() and shipped.is_file() else name
 
 
 def open_set(file: Path, folder: Path) -> tuple[Places, int]:
-    """Where its scenarios take place, and how many the map with the most of them has; maps are written to ``folder``.
+    """Read a scenario set.
+
+    Args:
+        file: scenario set.
+        folder: folder that the maps are written to.
+
+    Returns:
+        The places of the scenarios, and the largest number of scenarios on one map.
 
     Raises:
         ShmooError: the file is missing or damaged, or a scenario does not fit its map.
@@ -112,7 +127,7 @@ def open_set(file: Path, folder: Path) -> tuple[Places, int]:
     content = validated(_Set, read_json(file, "scenario set", "shmoo scenarios make"), file)
     maps = {name: folder / f"{name}.yaml" for name in content.maps}
     for name, packed in content.maps.items():
-        # The name becomes that of a file in the folder.
+        # The name of the map becomes a file name in the folder.
         if not re.fullmatch(r"[^/\\\x00-\x1f]{1,200}", name):
             raise ShmooError(f"{file}: 'maps' has {name!r}; name maps by letters, digits and signs other than slashes.")
         try:

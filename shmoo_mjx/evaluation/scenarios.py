@@ -1,7 +1,7 @@
 """Navigation scenarios on any map: objects block doorways and corridors, and each scenario has a certificate.
 
-A scenario is drawn for a range of the extra length of the way round. Whether its objects can be pushed out of the way
-is an outcome, told by the certificate (`certify`), and so is its kind.
+A scenario is drawn for a range of the extra length of the way round. The certificate (`certify`) then shows whether its
+objects can be pushed out of the way, and this gives the kind of the scenario.
 """
 
 from __future__ import annotations
@@ -34,63 +34,64 @@ Kind = Literal["push only", "detour only", "either", "unsolvable"]
 KINDS: tuple[Kind, ...] = ("push only", "detour only", "either")
 """Kinds of scenarios that can be solved."""
 Extra = tuple[float, float] | None
-"""Range of how much longer the way round is [m]; None: there is no way round."""
+"""Range of the extra length of the way round, compared with the path without objects [m]; None for no way round."""
 _BOUNDS = np.geomspace(1.0, 60.0, 9).round(2).tolist()
 EXTRAS: tuple[Extra, ...] = (*pairwise(_BOUNDS[:5]), None, *pairwise(_BOUNDS[4:]), None)
-"""What scenarios are drawn for in turn: even in the logarithm from 1 to 60 m, and a fifth without a way round."""
+"""Ranges for which scenarios are drawn in turn: uniform in the logarithm from 1 to 60 m, and one in five without a way
+round."""
 
 
 @dataclass(frozen=True)
 class ScenarioConfig:
-    """What scenarios look like. Lengths in m."""
+    """Settings of the drawn scenarios."""
 
     path: tuple[float, float] = (4.0, 14.0)
-    """Length of the shortest path from start to goal past no object."""
+    """Minimum and maximum length of the path from start to goal without objects [m]."""
     start_clearance: float = 0.45
-    """Room round start and goal."""
+    """Minimum distance of start and goal from walls [m]."""
     narrow: tuple[float, float] = (0.75, 1.80)
-    """Width of a doorway or corridor, for it to be blocked."""
+    """Minimum and maximum width of a doorway or corridor that an object may block [m]."""
     movable: float = 0.8
-    """Share of objects that are drawn as any of their family; the others are heavy, have locked wheels or are fixed."""
+    """Share of objects that are drawn as any of their family. The others are heavy, have locked wheels or are fixed."""
     ahead: tuple[float, float] = (1.6, 1.0)
-    """How far a blocked place is from start and from goal, along the path."""
+    """Minimum distances of a blocked place from the start and from the goal, along the path [m]."""
     objects: int = 4
-    """Most objects. How many there shall be is drawn evenly; what blocks nothing is added until there are so many."""
+    """Maximum number of objects. The wanted number is drawn uniformly, and objects that block nothing fill it up."""
     margin: float = 0.04
-    """Room between objects and walls."""
+    """Minimum gap between an object and walls or other objects [m]."""
     attempts: int = 150
-    """Draws of start and goal before a range of the extra length is given up."""
+    """Maximum number of draws of start and goal for a range of the extra length."""
     time_s: float = 240.0
-    """Limit of the run [s]."""
+    """Time limit of the run [s]."""
 
 
 class Generated(BaseModel):
-    """A scenario and what is known about it."""
+    """A scenario and its known properties."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     scenario: Scenario
     kind: Kind
     movable: tuple[bool, ...]
-    """Of each object: does some push of the certificate move it along the push. What was not tried counts as it was
-    drawn."""
+    """For each object, whether some push of the certificate moves it along the push. An object that was not tried
+    counts as it was drawn."""
     blocking: tuple[bool, ...]
-    """Of each object: was it put into a blocked place, or does it stand about."""
+    """For each object, whether it was placed to block a path. False for objects beside the path."""
     shortest: Number = Field(gt=0)
-    """Length of the path past no object."""
+    """Length of the path without objects [m]."""
     detour: Number | None
-    """Length of the path round all of them, if there is one."""
+    """Length of the path round all objects [m]; None if there is none."""
     certificate: Certificate | None = None
-    """What each option leads to; None in sets of the older form."""
+    """Outcomes of all options; None in scenario sets without certificates."""
 
     @property
     def extra(self) -> float | None:
-        """How much longer the way round is [m], None where there is none."""
+        """Extra length of the way round [m]; None if there is no way round."""
         return None if self.detour is None else self.detour - self.shortest
 
 
 @dataclass
 class _Placed:
-    """An object of a scenario in the making."""
+    """An object placed in a scenario that is being drawn."""
 
     condition: Condition
     pose: np.ndarray
@@ -104,13 +105,13 @@ class _Placed:
 
 @dataclass
 class _Site:
-    """A scenario in the making: map, start and goal, what has been put there, and what more is drawn by."""
+    """A scenario that is being drawn: map, start, goal, path, placed objects, and random state."""
 
     grid: OccupancyGrid
     walls: DistanceField
     rng: np.random.Generator
     seeds: Iterator[int]
-    """Of the objects."""
+    """Seeds of the objects."""
     cfg: ScenarioConfig
     start: np.ndarray
     goal: np.ndarray
@@ -134,8 +135,15 @@ def draw_scenario(
     cfg: ScenarioConfig = ScenarioConfig(),
     certifier: Callable[[OccupancyGrid, Scenario], Certificate] = certify,
 ) -> Generated:
-    """Draw a scenario whose way round is longer by ``extra``; its objects have some of the 1,000 seeds from
-    ``first_seed`` on.
+    """Draw a scenario with an extra length of the way round within ``extra``.
+
+    Args:
+        grid: map.
+        extra: range of the extra length [m]; None for no way round.
+        rng: random state.
+        first_seed: first of the 1,000 consecutive seeds that the objects may have.
+        cfg: settings.
+        certifier: makes the certificate of the scenario.
 
     Raises:
         ShmooError: the map has no place for such a scenario.
@@ -157,7 +165,15 @@ def draw_scenario(
 
 
 def largest_room(clearance: np.ndarray, radius: float) -> np.ndarray:
-    """Cells ``[N, 2]`` of the largest connected part in which a robot with this much room can go about."""
+    """Cells with enough clearance in the connected region that has most of them.
+
+    Args:
+        clearance: ``[H, W]`` distance of each cell from walls [m]. The robot can drive between connected cells.
+        radius: minimum clearance of the returned cells [m].
+
+    Returns:
+        Row and column ``[N, 2]`` of the cells.
+    """
     labels, count = ndimage.label(clearance >= radius, np.ones((3, 3)))
     if count == 0:
         return np.zeros((0, 2), dtype=int)
@@ -186,11 +202,11 @@ class _Narrow(NamedTuple):
     """A place where a path passes between two walls."""
 
     centre: np.ndarray
-    """``[2]`` in {W}, midway between the walls."""
+    """Point ``[2]`` in {W} midway between the walls [m]."""
     along: float
-    """Direction of the path [rad]."""
+    """Direction of the path in {W} [rad]."""
     width: float
-    """From wall to wall [m]."""
+    """Distance between the walls [m]."""
 
 
 def _narrow_places(site: _Site, path: Path) -> list[_Narrow]:
@@ -215,7 +231,7 @@ def _narrow_places(site: _Site, path: Path) -> list[_Narrow]:
 
 
 def _block(site: _Site, extra: Extra) -> bool:
-    """Put objects in the way, and in the way round, until the way round is as long as wanted."""
+    """Place objects on the path and on the ways round it; whether the extra length then lies within ``extra``."""
     path = site.path
     while _block_path(site, path):
         around = site.way(site.start, site.polygons())
@@ -231,7 +247,7 @@ def _block(site: _Site, extra: Extra) -> bool:
 
 
 def _block_path(site: _Site, path: Path) -> bool:
-    """Put one object into a narrow place of ``path`` so that nobody gets past it there."""
+    """Place one object in a narrow place of ``path``, so that the robot cannot pass it there; whether this succeeds."""
     places = _narrow_places(site, path)
     for i in site.rng.permutation(len(places))[:6]:
         for _ in range(3):
@@ -244,31 +260,31 @@ def _block_path(site: _Site, path: Path) -> bool:
 
 
 def _place(narrow: _Narrow, condition: Condition, movable: bool, rng: np.random.Generator) -> _Placed:
-    """The object across or along a narrow place, a little askew and off its middle."""
+    """The object across or along a narrow place, with a small random yaw error and offset."""
     yaw = narrow.along + rng.integers(4) * np.pi / 2 + rng.uniform(-0.12, 0.12)
     pose = np.array([*(narrow.centre + rng.uniform(-0.05, 0.05, 2)), se2.wrap(yaw)])
     return _Placed(condition, pose, movable, True)
 
 
 def _draw_object(site: _Site, movable: bool) -> Condition:
-    """Any of its family, or one that ought not to move."""
+    """An object with the next seed: any of its family, or one that should not move."""
     seed, rng = int(next(site.seeds)), site.rng
     family, sort = FAMILIES[rng.integers(3)], IMMOVABLE[rng.integers(len(IMMOVABLE))]
     return draw_condition(family, seed) if movable else draw_immovable(sort, family, seed)
 
 
 def _fits(site: _Site, placed: _Placed) -> bool:
-    """Clear of walls, of the other objects, and of start and goal."""
+    """Whether the object is clear of walls, other objects, start and goal."""
     others = add_obstacles(site.walls, site.polygons())
     free = footprints_free(others, placed.pose, placed.condition.half_extents, wall_clearance=site.cfg.margin)[0]
     ends = shapely.MultiPoint([site.start, site.goal])
     room = bool(free) and placed.polygon.distance(ends) > ROBOT_RADIUS + 0.15
-    # The corner of a wall may lie between the points at which the footprint is looked at.
+    # `footprints_free` samples the footprint at points, and the corner of a wall may lie between them.
     return room and wall_distance(site.grid, placed.polygon, 0.0) > 0
 
 
 def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:
-    """Is too little room left on either side of the object for the robot."""
+    """Whether the gaps on both sides of the object are too narrow for the robot."""
     normal = np.array([-np.sin(narrow.along), np.cos(narrow.along)])
     across = (shapely.get_coordinates(placed.polygon) - narrow.centre) @ normal
     widest = max(narrow.width / 2 - across.max(), narrow.width / 2 + across.min())
@@ -276,7 +292,7 @@ def _stops(path: Path, narrow: _Narrow, placed: _Placed) -> bool:
 
 
 def _add_bystanders(site: _Site) -> None:
-    """Objects beside the path that block nothing, until there are as many as drawn."""
+    """Add objects beside the path that block nothing, up to a random number of objects."""
     rng = site.rng
     wanted = int(rng.integers(1, site.cfg.objects + 1))
     for _ in range(20):
@@ -300,7 +316,7 @@ def _leaves_ways(site: _Site, placed: _Placed) -> bool:
 
 
 def _certified(site: _Site, certifier: Callable[[OccupancyGrid, Scenario], Certificate]) -> Generated:
-    """The finished scenario with its certificate and its kind."""
+    """The finished scenario with its certificate and kind."""
     around = site.way(site.start, site.polygons())
     along = tangent_at(site.path, 0.3)
     start = (*site.start, np.arctan2(along[1], along[0]))
@@ -327,7 +343,7 @@ def _certified(site: _Site, certifier: Callable[[OccupancyGrid, Scenario], Certi
 
 
 def entry_of(condition: Condition, pose: Array | Numbers) -> ObjectEntry:
-    """The object with every property spelt out, to stand at ``pose [3]``."""
+    """The object with all its properties given explicitly, at ``pose [3]`` in {W}."""
     stated = {k: v for k, v in condition.to_dict().items() if k not in ("family", "seed") and v != ()}
     properties: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in stated.items()}
     return ObjectEntry(family=condition.family, pose=_rounded(pose), seed=condition.seed, properties=properties)

@@ -1,8 +1,8 @@
-"""Scripted pushes in the actual scene, many at a time: what the options about an object lead to in C MuJoCo.
+"""Scripted pushes of objects in a scene, simulated as a batch in C MuJoCo.
 
-The robot begins at rest at a stand-off pose, extends its arms, makes contact, and leans into the face with a constant
-steering angle until its way is free or the object no longer moves. Then it backs away and folds its arms. It perceives
-true poses.
+The robot starts at rest at a stand-off pose. It extends its arms, makes contact, and leans into the face with a
+constant steering angle until its way is free or the object stops moving. Then it backs away and folds its arms. It
+perceives true poses.
 """
 
 from __future__ import annotations
@@ -27,74 +27,76 @@ from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.types import DT, Command, Observation
 
 WORLDS = 12
-"""Pushes that advance together. Always as many, so that the control is compiled once."""
+"""Number of pushes in a batch. It is constant, so that the control is compiled once."""
 
 
 @dataclass(frozen=True)
 class ScriptConfig:
-    """Settings of a scripted push, SI units."""
+    """Settings of a scripted push, in SI units."""
 
     push: SteadyPush = SteadyPush(lean=0.15, speed=0.3)
     seconds: float = 18.0
-    """Longest time from the stand-off pose to the beginning of the retreat [s]."""
+    """Maximum time from the start of the push to the start of the retreat [s]."""
     stall: tuple[float, float] = (0.03, 3.0)
-    """A push ends if the object moves less than this [m] in so much time [s] of contact."""
+    """Minimum displacement of the object [m] within a contact time [s]. A push ends if the object moves less."""
     look: tuple[float, float] = (0.8, 0.08)
-    """Whether the way is free is asked so often [s], if the object has moved so far since it was last asked [m]."""
+    """Interval between checks whether the way is free [s], and minimum displacement of the object since the last check
+    [m]."""
     back: tuple[float, float] = (1.6, 1.0)
-    """Time of backing away, and of folding the arms at rest [s]."""
+    """Durations of backing away and of folding the arms at rest [s]."""
 
 
 class ScriptedPush(NamedTuple):
-    """One push to be tried."""
+    """One push to try."""
 
     object: int
     face: np.ndarray
-    """As `faces_of` or `corners_of` has it."""
+    """Face ``[4]`` in {O}, a row of `faces_of` or `corners_of`."""
     lateral: float
-    """Place along the face, to the robot's left [m]."""
+    """Distance of the contact place from the centre of the face, positive to the robot's left [m]."""
     steering: float
-    """[rad]"""
+    """Steering angle [rad]."""
     start: np.ndarray
-    """Pose ``[3]`` of the robot in {W} at which it begins."""
+    """Pose ``[3]`` of the robot in {W} at the start [m, m, rad]."""
 
 
 class PushEnd(NamedTuple):
-    """What a push has led to."""
+    """Outcome of a push."""
 
     freed: bool
-    """Whether the robot's way was found free during the push."""
+    """Whether the robot's way became free during the push."""
     ok: bool
-    """No fall, no divergence, no wall touched by the robot, nothing toppled."""
+    """False if the robot fell or touched a wall, an object toppled, or the simulation diverged."""
     seconds: float
-    """From the stand-off pose to the end of the retreat [s]."""
+    """Time from the start of the push to the end of the retreat [s]."""
     moved: float
-    """Distance that the object has moved [m]."""
+    """Distance between the positions of the object at the start and at the end [m]."""
     progress: float
-    """The part of it along the heading of the push [m]."""
+    """Displacement of the object along the heading of the push [m]."""
     qpos: np.ndarray
-    """``[nq]`` at the end."""
+    """Generalised positions ``[nq]`` of the world at the end."""
     robot: np.ndarray
-    """Pose ``[3]`` of the robot at the end."""
+    """Pose ``[3]`` of the robot in {W} at the end [m, m, rad]."""
     objects: np.ndarray
-    """Poses ``[N, 3]`` at the end."""
+    """Poses ``[N, 3]`` of the objects in {W} at the end [m, m, rad]."""
 
 
 @dataclass
 class _Progress:
-    """Where W pushes stand."""
+    """State of W pushes."""
 
     contact: Float[np.ndarray, "W"]
     """Time of the first contact [s]; infinite before it."""
     left: Float[np.ndarray, "W"]
-    """Time at which the retreat began [s]."""
+    """Time at which the retreat started [s]; infinite before it."""
     freed: Bool[np.ndarray, "W"]
     ok: Bool[np.ndarray, "W"]
     looked: Float[np.ndarray, "W 2"]
-    """Where the object was when the way was last asked about."""
+    """Position of the object in {W} at the last check of the way [m]."""
     lean: Float[np.ndarray, "W 2"]
+    """Last lean commands in {R} [rad]."""
     time: float
-    """Now [s]."""
+    """Current time [s]."""
 
     def over(self, cfg: ScriptConfig) -> Bool[np.ndarray, "W"]:
         """Whether each retreat has ended."""
@@ -109,15 +111,18 @@ def run_pushes(
     *,
     cfg: ScriptConfig = ScriptConfig(),
 ) -> list[PushEnd]:
-    """What each of up to `WORLDS` pushes leads to.
+    """Simulate up to `WORLDS` pushes as a batch.
 
     Args:
-        scene: robot, objects and the walls near by.
-        qpos: of the world before the push; the robot is put to the start of each push.
-        pushes: what to try.
-        free: (object, robot's position ``[2]``, objects' poses ``[N, 3]``) -> whether the robot's way past the object
-            is free.
+        scene: robot, objects and nearby walls.
+        qpos: generalised positions of the world before the pushes. The robot is moved to the start of each push.
+        pushes: pushes to try.
+        free: (object, position of the robot ``[2]``, poses of the objects ``[N, 3]``) -> whether the robot's way past
+            the object is free.
         cfg: settings.
+
+    Returns:
+        The outcome of each push.
     """
     many = [*pushes, *[pushes[-1]] * (WORLDS - len(pushes))]
     engine = MujocoEngine([replace(scene, qpos0=_at(scene, qpos, p.start), spec=None) for p in many])
@@ -170,7 +175,7 @@ def run_pushes(
 
 
 def _at(scene: Scene, qpos: np.ndarray, robot: np.ndarray) -> np.ndarray:
-    """The world of ``qpos`` with the robot at rest at another pose, arms folded."""
+    """``qpos`` with the robot at the pose ``robot``, with folded arms."""
     placed = scene.placed(robot, np.zeros((len(scene.conditions), 3)))
     return np.concatenate([placed[:NQ], qpos[NQ:]])
 
@@ -203,7 +208,7 @@ def _leave(
     free: Callable[[int, np.ndarray, np.ndarray], bool],
     cfg: ScriptConfig,
 ) -> None:
-    """End pushes whose way is free, whose object no longer moves, and that have lost it or their time."""
+    """Start the retreat of pushes whose way is free, whose object has stopped or is lost, or that are out of time."""
     time, window, which = now.time, round(cfg.stall[1] / DT), [p.object for p in pushes]
     pushing = np.isinf(now.left) & now.ok
     places = trail[-1]

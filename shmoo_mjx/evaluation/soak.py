@@ -1,7 +1,8 @@
-"""Soak: errand after errand in one building, for hours, with objects that others move meanwhile.
+"""Soak test: one errand after another in one building for hours, while people move the objects.
 
-What is looked for is what a single run can't show: a fall after an hour, a state that is left and entered again without
-end, memory that grows, files that stay open. An errand that fails is given up for the next one, and its reason is kept.
+The test looks for failures that a single run cannot show: a fall after an hour, a state that is left and entered again
+without end, memory that grows, files that stay open. A failed errand is given up for the next one, and its reason is
+kept.
 """
 
 from __future__ import annotations
@@ -33,24 +34,26 @@ from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.run.simulation import History, Simulation
 
 _ERRAND = 180.0
-"""Time after which an errand is given up [s]: several times what one takes in three rooms."""
+"""Time limit of an errand [s]: several times its usual duration in three rooms."""
 _APART = 1.0
-"""Least distance between the robot and what somebody moves, before and after [m]: nothing lands in its arms."""
+"""Minimum distance of a moved object from the robot before and after the move, and from the goal after it [m]. Half the
+diagonal of the object is added."""
 
 
 @dataclass(frozen=True)
 class SoakTrials(ExperimentConfig):
-    """What is done in the building."""
+    """Settings of the soak test."""
 
     minutes: float = 60.0
-    """Simulated time in each building."""
+    """Simulated time in each building [min]."""
     buildings: int = 10
+    """Number of buildings."""
     moved_every: float = 90.0
-    """Time after which somebody puts one object elsewhere [s]."""
+    """Interval at which somebody moves one object [s]."""
 
 
 def summary(result: ExperimentResult) -> str:
-    """The buildings as a Markdown table, and why errands were given up."""
+    """Markdown table of the buildings, and the counted reasons for which errands were given up."""
     names = ("seed", "errands", "done", "falls", "livelocks", "wall_contacts", "memory_growth", "open_files_left")
     table = markdown_table([n.replace("_", " ") for n in names], [[str(row[n]) for n in names] for row in result.rows])
     reasons = [reason for row in result.rows for reason in row["given_up"]]
@@ -59,7 +62,7 @@ def summary(result: ExperimentResult) -> str:
 
 
 def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str, Any]:
-    """Errands in one building until time is up or the robot has fallen."""
+    """The row of one building, with errands until the time is up or the simulation ends with a fall or divergence."""
     rng = np.random.default_rng([seed, 0x50A4])
     grid = draw_floorplan(rng).grid
     clearance = distance_field(grid)
@@ -72,7 +75,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
     )
     start, goal = (tuple(p) for p in chosen[:2].tolist())
     scenario = Scenario(start=(*start, 0.0), goal=goal, objects=objects, seed=seed, limits=Limits(time_s=3600.0))
-    controller.compile(local_distance_field(clearance, (*start, 0.0)))  # before memory is looked at
+    controller.compile(local_distance_field(clearance, (*start, 0.0)))  # before memory is measured
     this = psutil.Process()
     files = this.num_fds()
     memory: list[int] = []
@@ -96,7 +99,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
             lost = simulation.history.ended
             totals["wall_contacts"] += simulation.history.wall_contacts
             memory.append(this.memory_info().rss)
-            # What has been is of no more use; a record of hours would be all that grows.
+            # A record of hours would hide other growth of memory, so each errand starts a new one.
             simulation.history = History(touching=simulation.history.touching)
             simulation.navigator.events.clear()
             simulation.navigator.head_for(_next_goal(simulation, places, rng), simulation.time)
@@ -107,7 +110,7 @@ def play(trials: SoakTrials, seed: int, controller: PushController) -> dict[str,
 
 
 def livelocks(transitions: list[Transition], history: History) -> int:
-    """How often a state was entered twice within a second for the same reason while nothing moved by 2 cm."""
+    """Number of times that a state was entered twice within 1 s for the same reason while nothing moved by 2 cm."""
     count = 0
     for i, later in enumerate(transitions):
         for earlier in reversed(transitions[:i]):
@@ -140,7 +143,7 @@ def _reason(simulation: Simulation) -> str:
 
 
 def _apart(places: np.ndarray, rng: np.random.Generator, count: int) -> list[int]:
-    """Indices of places at least a metre from each other."""
+    """Indices of at most ``count`` random places that are more than 1.2 m apart."""
     chosen: list[int] = []
     for index in rng.permutation(len(places)):
         if all(np.hypot(*(places[index] - places[other])) > 1.2 for other in chosen):
@@ -156,14 +159,14 @@ def _shapes(simulation: Simulation) -> list[Any]:
 
 
 def _next_goal(simulation: Simulation, places: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A place that no object stands on, more than a metre away."""
+    """A random place ``[2]`` in {W} that is free of objects and more than 1 m away from the robot [m]."""
     free = shapely.distance(shapely.MultiPolygon(_shapes(simulation)), shapely.points(places)) > 0.45
     away = np.hypot(*(places - simulation.true.robot_pose[0, :2]).T) > 1.0
     return np.asarray(places[rng.choice(np.flatnonzero(free & away))])
 
 
 def _move_one(simulation: Simulation, places: np.ndarray, rng: np.random.Generator) -> int:
-    """Somebody puts one object to another place, unless the robot is near; returns how many were moved."""
+    """Move one random object to a random free place, unless the robot is near; returns the number of moved objects."""
     index = int(rng.integers(len(simulation.conditions)))
     robot, goal = simulation.true.robot_pose[0, :2], simulation.navigator.state.goal
     half = float(np.hypot(*simulation.conditions[index].half_extents))
@@ -231,7 +234,7 @@ EXPERIMENT = Experiment(
     trials=_trials,
     trial=_trial,
     metrics=_metrics,
-    # Each building is a trial of its own: more of them go on from those that are there.
+    # Each building is a trial of its own, so a larger number continues from the finished ones.
     neutral=("buildings",),
     first_seed=950,
     printed=summary,

@@ -1,4 +1,4 @@
-"""What the experiments that train object models share: config, training set, unseen objects, and single trainings."""
+"""Parts that the experiments on the object model share: config, training set, unseen objects, and single trainings."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult
 
 @dataclass(frozen=True)
 class TrainingsConfig(ExperimentConfig):
-    """What the experiments on the object model have in common."""
+    """Settings that the experiments on the object model have in common."""
 
     workers: int = 1
-    """Processes; a training keeps both cores busy by itself, and two of them hinder each other."""
+    """Number of processes. One training uses several cores, so parallel trainings slow each other down."""
     seeds: int = 3
-    """Trainings of each kind."""
+    """Number of trainings of each kind, each with its own seed."""
     training_objects: int | None = None
-    """Per family; None takes all that the training set has."""
+    """Number of training objects per family; None for all objects of the training set."""
     unseen: Mapping[str, int] = field(default_factory=lambda: {"box": 7, "cart": 7, "wheelchair": 6})
-    """Unseen objects per family."""
+    """Number of unseen objects by family."""
 
 
 QUICK: dict[str, Any] = {"seeds": 1, "training_objects": 6, "unseen": {"box": 2, "cart": 2, "wheelchair": 2}}
-"""The same in a quick experiment."""
+"""These settings in a quick experiment."""
 
 
 class Directories(NamedTuple):
@@ -44,7 +44,7 @@ class Directories(NamedTuple):
 
 
 def prepare(options: ExperimentOptions, config: TrainingsConfig, folder: Path) -> Prepared:
-    """Collect the data that is not at hand."""
+    """The data sets of an experiment. Missing ones are collected."""
     data = Directories(datasets.training_directory(options), datasets.unseen_directory(options, config.unseen))
     return Prepared(data, tuple(directory / store.MANIFEST for directory in data))
 
@@ -58,7 +58,16 @@ def job_of(
     fit_samples: int,
     setting: dict[str, Any] | None = None,
 ) -> Job:
-    """Training ``number``, whose checkpoint is kept under ``name``; each number has a seed of its own."""
+    """One training on the training set of an experiment.
+
+    Args:
+        setup: setup of the experiment.
+        name: name of the directory of the checkpoint.
+        number: number of the training, which is added to the seed.
+        budget: budget of the training.
+        fit_samples: number of first samples of a validation condition that a method adapts on.
+        setting: settings of the method; None for the defaults.
+    """
     dataset = store.of_training(setup.data.train)
     if setup.config.training_objects is not None:
         dataset = datasets.subset(dataset, setup.config.training_objects)
@@ -73,7 +82,7 @@ def unseen_objects(setup: Setup[Any]) -> store.Dataset:
 
 
 def rows_of(objects: store.Dataset, scores: Mapping[str, np.ndarray], about: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row for each unseen object: ``about``, the object, and its `scoring.NAMES`, NaN where not measured."""
+    """One row for each unseen object: ``about``, the object, and its `scoring.NAMES` (NaN if not measured)."""
     none = np.full(len(objects.names), np.nan)
     return [
         about
@@ -84,9 +93,9 @@ def rows_of(objects: store.Dataset, scores: Mapping[str, np.ndarray], about: dic
 
 
 AFTER_3S = {"pos_rmse_3s_m": "position error after 3 s [m]", "yaw_rmse_3s_deg": "yaw error after 3 s [deg]"}
-"""Measures of the longest roll-out, and their heads in tables."""
+"""Measures of the longest roll-out, with their column heads in tables."""
 
 
 def size_of(result: ExperimentResult) -> str:
-    """How many objects and seeds a result is made from."""
+    """Numbers of unseen objects and seeds of a result, as a sentence."""
     return f"{sum(result.config['unseen'].values())} unseen objects, {result.config['seeds']} seeds."

@@ -1,4 +1,4 @@
-"""The methods that the learned object model is compared with, all behind one protocol."""
+"""Methods that the learned object model is compared with, all behind one protocol."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = [
 
 _RIDGES = tuple({"ridge": ridge} for ridge in (1.0, 0.001, 10.0, 100.0))
 _DAIML: tuple[Setting, ...] = ({}, {"one_step": 4.0}, {"functions": 6}, {"learning_rate": 8e-3})
-# Trained for one step alone, a residual has no weight between that and a roll-out to choose.
+# The residual is trained on single steps only, so it has no weight ``one_step`` to tune.
 _ON_RESIDUAL: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"functions": 6}, {"learning_rate": 8e-3})
 _PAPER: tuple[Setting, ...] = ({}, {"learning_rate": 1e-3}, {"ridge": 3.0}, {"learning_rate": 8e-3})
 _NETS = tuple({"learning_rate": rate, "decay": decay} for rate in (3e-3, 8e-3) for decay in (0.0, 0.1))
@@ -46,4 +46,4 @@ METHODS: dict[str, Method] = {
         Method("constant_velocity", plain.constant_velocity, ({},), trained=False),
     )
 }
-"""Every method by the name its metrics carry. The residual and the GRU see the contact model, as ours does."""
+"""Methods by the name in their metrics. Like ours, the residual and the GRU see the contact model."""

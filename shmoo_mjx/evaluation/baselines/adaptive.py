@@ -1,4 +1,4 @@
-"""The methods built on DAIML: ours, the paper's exact form, the prior alone, and a residual on a common network."""
+"""Methods built on DAIML: ours, the paper's exact form, the prior alone, and a residual on a common network."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from shmoo_mjx.learning.daiml import NORM_CAP, DaimlConfig, ObjectFit
 
 
 def paper_config() -> DaimlConfig:
-    """The printed form: the paper's psi, a ridge instead of a learned prior, and Eq. 4 on accelerations."""
+    """Settings of the paper's printed form: its psi, a ridge instead of a learned prior, and Eq. 4 on accelerations."""
     return DaimlConfig(object=ObjectConfig.paper(), coupled=False, loss_on_twist=False)
 
 
 def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
-    """``config`` under the job's budget, seed and setting; what ObjectConfig names goes to psi."""
+    """``config`` with the budget, seed and setting of the job. Settings named in ObjectConfig apply to psi."""
     of_psi = {f.name for f in fields(ObjectConfig)}
     shape = {key: value for key, value in job.setting.items() if key in of_psi}
     rest = {key: value for key, value in job.setting.items() if key not in of_psi}
@@ -43,30 +43,31 @@ def daiml_config(job: Job, config: DaimlConfig) -> DaimlConfig:
 
 
 def ours(job: Job) -> Predictor:
-    """psi as shipped."""
+    """psi as shipped, trained on the job."""
     return from_fit(*trained(job, DaimlConfig()))
 
 
 def paper_form(job: Job) -> Predictor:
-    """psi as printed: a* by Eq. 5 with a ridge."""
+    """psi as printed in the paper, trained on the job: a* by Eq. 5 with a ridge."""
     return from_fit(*trained(job, paper_config()))
 
 
 def prior(job: Job) -> Predictor:
-    """psi as shipped, with the coefficients of an object that has not been touched."""
+    """psi as shipped, with the coefficients before contact."""
     return prior_of(*trained(job, DaimlConfig()))
 
 
 def paper_prior(job: Job) -> Predictor:
-    """psi as printed, with the coefficients of an object that has not been touched."""
+    """psi as printed in the paper, with the coefficients before contact."""
     return prior_of(*trained(job, paper_config()))
 
 
 def residual(job: Job) -> Predictor:
-    """A network over all conditions, and psi on what it leaves over (Sec. V-B). Both train for the whole budget.
+    """A common network over all conditions, and psi on its residual (Sec. V-B). Both train for the whole budget.
 
-    Both see the contact model, estimated from what was felt and not from what is left over. What the network leaves
-    over in training is taken with each condition's best known contact parameters, and psi sees those.
+    Both see the contact model, whose parameters are estimated from the labels and not from the residual. In training,
+    the residual is computed with the best estimate of the contact parameters of each condition, and psi sees the same
+    parameters.
     """
     common_job = replace(job, setting={"learning_rate": 1e-3}, directory=_beside(job, "common"))
     common, sees = mlp(common_job, contact_model=True), sight(common_job)
@@ -100,7 +101,7 @@ def residual(job: Job) -> Predictor:
 
 
 def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
-    """A trained psi: a* given the learned prior, or by a plain ridge where the config says so."""
+    """Predictor of a trained psi. a* comes from the learned prior if ``config.coupled``, or else from a plain ridge."""
     arrays = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
     fitted = fitted._replace(**{name: jax.tree.map(jnp.asarray, getattr(fitted, name)) for name in arrays})
     params, mean = fitted.params, fitted.prior_mean
@@ -131,17 +132,17 @@ def from_fit(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
 
 
 def prior_of(fitted: ObjectFit, config: DaimlConfig) -> Predictor:
-    """The same psi before the object is touched."""
+    """Predictor of the same psi before contact, with the prior coefficients and the mean contact parameters."""
     prior = jnp.asarray(fitted.prior_mean), jnp.mean(jnp.asarray(fitted.contact_prior), axis=0)
     return from_fit(fitted, config)._replace(adapt=lambda context: prior)
 
 
 def trained(job: Job, config: DaimlConfig) -> tuple[ObjectFit, DaimlConfig]:
-    """psi trained by these settings under the job's, or read from its checkpoint, and all settings."""
+    """psi, trained with ``config`` and the settings of the job or read from its checkpoint, and all settings."""
     config = daiml_config(job, config)
     return daiml.fit_samples(job.train.samples, job.validation.samples, config, out_dir=job.directory), config
 
 
 def _beside(job: Job, part: str) -> Path | None:
-    """The directory of a part of a fit; beside the job's own, where the contact parameters are kept for all."""
+    """The directory of a part of a fit, beside that of the job, so that all parts share the contact parameters."""
     return None if job.directory is None else job.directory.with_name(f"{job.directory.name}-{part}")

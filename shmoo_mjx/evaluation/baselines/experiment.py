@@ -1,7 +1,8 @@
-"""Experiment `baselines`: ours beside every other way to predict an object from 25 s of it (Sec. V-B).
+"""Experiment `baselines`: predictors of an object that adapt on 25 s of its motion, compared with ours (Sec. V-B).
 
-Every method tries the same number of settings on the validation conditions with the same short budget; the best is
-trained anew with three seeds and scored on unseen objects. All see the same inputs, rows and protocol (`scoring`).
+Every method with settings tries the same number of them on the validation conditions, with the same short budget. The
+best setting is trained anew with three seeds and scored on unseen objects. All methods see the same inputs, rows and
+protocol (`scoring`).
 """
 
 from __future__ import annotations
@@ -27,33 +28,34 @@ from shmoo_mjx.report.tables import markdown_table
 from shmoo_mjx.types import DT
 
 REPLAY = "replay"
-"""Name of the plant itself among the methods (`replay`)."""
+"""Name of the replay in the plant among the methods (`replay`)."""
 
 
 @dataclass(frozen=True)
 class BaselinesConfig(TrainingsConfig):
-    """What is compared and how hard each is tried."""
+    """Settings of the experiment."""
 
     methods: tuple[str, ...] = (*METHODS, REPLAY)
     settings: int = 4
-    """Settings that each method tries on the validation conditions, with seed 0 and the tuning budget."""
+    """Maximum number of settings that each method tries on the validation conditions, with one seed each."""
     tuning: Budget = field(default_factory=lambda: Budget(8, 150, 8))
+    """Training budget of each tried setting."""
     final: Budget = field(default_factory=lambda: Budget(24, 150, 8))
-    """For the chosen setting."""
+    """Training budget of the chosen setting."""
     fit_seconds: float = 25.0
-    """Recording that a method adapts on [s]."""
+    """Length of the recording that a method adapts on [s]."""
 
 
 class _Fit(NamedTuple):
     """One fit of one method."""
 
     stage: str
-    """tune or final."""
+    """Stage of the experiment: tune or final."""
     method: str
     setting: int = 0
-    """Place among the method's settings."""
+    """Index in the method's settings."""
     number: int = 0
-    """Training with this setting."""
+    """Number of the training with this setting, which sets its seed."""
 
     @property
     def name(self) -> str:
@@ -65,14 +67,14 @@ def _methods(config: BaselinesConfig) -> list[Method]:
 
 
 def _tuned(setup: Setup[BaselinesConfig]) -> dict[str, _Fit]:
-    """Each setting of each method, but where there is only one to try."""
+    """Fits of each setting of each method that has more than one to try."""
     counts = {m.name: min(setup.config.settings, len(m.settings)) for m in _methods(setup.config)}
     fits = [_Fit("tune", name, i) for name, count in counts.items() if count > 1 for i in range(count)]
     return {fit.name: fit for fit in fits}
 
 
 def _final(setup: Setup[BaselinesConfig], tuning: list[dict[str, Any]]) -> dict[str, _Fit]:
-    """Each method with the setting that was best on the validation conditions."""
+    """Fits of each method with its best setting on the validation conditions."""
     fits = []
     for method in _methods(setup.config):
         tried = [row for row in tuning if row["tuned"] == method.name]
@@ -109,7 +111,7 @@ def _scored(setup: Setup[BaselinesConfig], fit: _Fit) -> list[dict[str, Any]]:
 
 
 def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Mean over conditions and seeds of each measure, the spread over seeds, and the ratios to ours."""
+    """Mean of each measure over conditions and seeds, its spread over seeds, and the ratios to ours."""
     metrics: dict[str, float] = {}
     rows = [row for row in rows if "method" in row]
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -130,9 +132,10 @@ def _metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def _draw(setup: Setup[BaselinesConfig], rows: list[dict[str, Any]]) -> None:
-    """Fraction of variance unexplained of each method: median over conditions, spread of seeds, a dot per condition.
+    """Draw the fraction of variance unexplained of each method: median, spread over seeds, and a dot per condition.
 
-    Not the mean: a condition that hardly moves has next to no variance, and may leave hundreds of times as much.
+    The figure shows the median over conditions and not the mean. An object that hardly moves has almost no variance, so
+    its fraction can be in the hundreds.
     """
     rows = [row for row in rows if "method" in row]
     medians: dict[str, list[float]] = {}
@@ -172,17 +175,17 @@ _LABELS = {
 }
 _BEFORE = {"prior": "ours, before contact", "prior_paper": "the paper's printed form, before contact"}
 _PRIORS = {"ours": "prior", "ours_paper": "prior_paper"}
-"""Method to the name of its rows before contact."""
+"""Name of each method's rows before contact."""
 
 
 def _methods_shown(result: ExperimentResult) -> list[str]:
-    """The measured methods, the one with the least error first."""
+    """The measured methods, the one with the smallest error first."""
     mse = {name: result.metrics[f"mse_{name}"] for name in _LABELS if f"mse_{name}" in result.metrics}
     return sorted(mse, key=lambda name: math.inf if (error := mse[name]) is None else error)
 
 
 def baselines_table(result: ExperimentResult) -> str:
-    """One line per method: mean squared errors before and after adapting, their ratios to ours, errors after 3 s."""
+    """Markdown table with a line per method: errors before and after adapting, ratios to ours, errors after 3 s."""
     metrics, paper = result.metrics | {"ratio_ours": 1.0}, result.paper
     rows = [
         [

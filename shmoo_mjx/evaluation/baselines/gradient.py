@@ -1,4 +1,4 @@
-"""Meta-training by gradient descent that the learned baselines share: batches, loss, early stopping, checkpoints."""
+"""Meta-training by gradient descent for the learned baselines: batches, loss, early stopping, checkpoints."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from shmoo_mjx.learning.samples import Sampler, Samples
 Tree = Any
 
 CONDITIONS = 12
-"""Conditions per update: those of DAIML."""
+"""Conditions per update, as in DAIML."""
 ROWS = 64
-"""Samples per condition that the loss of one step is taken on."""
+"""Samples per condition of an update on which the one-step loss is computed."""
 
 
 class MetaTask(NamedTuple):
@@ -31,7 +31,7 @@ class MetaTask(NamedTuple):
 
     context: Context
     windows: tuple[Float[Array, "B 1 n"], Float[Array, "B 1 m"], Float[Array, "B 1 n"]]
-    """Inputs and labels that the loss is taken on, and the inputs one sample later."""
+    """Inputs and labels of the loss, and the inputs one sample later."""
     precision: Float[Array, "m m"]
     """Inverse of Sigma_C in units of the label scale."""
 
@@ -51,16 +51,16 @@ def meta_train(
     sees: Sight,
     adapt_samples: int = 100,
 ) -> Tree:
-    """Train ``params`` until the budget is spent or the validation conditions get no better.
+    """Train ``params`` until the budget is spent or the validation score stops improving.
 
     Args:
-        job: data, budget, seed; setting["learning_rate"] and setting["decay"] (of the weights) are read here.
-        params: where it starts.
-        predictor: parameters -> the predictor they make.
-        name: of the method, part of the checkpoint's identity.
-        sees: the training conditions' contact parameters, of which a task's context has one drawn at random, well or
-            badly known.
-        adapt_samples: most samples of a task's context.
+        job: data, budget and seed, with the settings "learning_rate" and "decay" (weight decay, default 0).
+        params: initial parameters.
+        predictor: parameters -> predictor.
+        name: name of the method, part of the checkpoint's identity.
+        sees: contains several estimates of the contact parameters of each training condition, from poor to good. Each
+            task uses a random one of them.
+        adapt_samples: maximum number of samples of a task's context.
 
     Returns:
         The parameters with the best validation score.
@@ -129,7 +129,7 @@ def _optimiser(job: Job) -> optax.GradientTransformation:
 
 
 def _known(made: Predictor, context: Context) -> multistep.Predict:
-    """What a predictor says of the object of ``context``; no method trained here looks at the time."""
+    """Prediction for the object of ``context``. The time is zero, because no method trained here uses it."""
     state = made.adapt(context)
     return lambda x: made.predict(state, x, jnp.zeros(x.shape[:-1]))
 
@@ -137,7 +137,7 @@ def _known(made: Predictor, context: Context) -> multistep.Predict:
 def _draw(
     train: Recordings, contacts: Float[Array, "C M p"], sampler: Sampler, key: Key[Array, ""], *, adapt_samples: int
 ) -> MetaTask:
-    """The batches that DAIML draws."""
+    """The tasks of one update, from the batches that DAIML draws."""
     key, contact_key = jax.random.split(key)
     batch = batches.draw(
         train.samples, sampler, key, conditions=CONDITIONS, adapt_samples=adapt_samples, windows=ROWS, horizon=1

@@ -15,16 +15,20 @@ from shmoo_mjx.evaluation.baselines.protocol import Context, Job, Predictor, out
 from shmoo_mjx.evaluation.baselines.sight import sight
 
 HIDDEN = (128, 128, 50)
-"""Hidden layers of every network here: those of psi."""
+"""Widths of the hidden layers of every network here, the same as those of psi."""
 MEMORY = 64
 """Width of the GRU's state."""
 CONTEXT_ROWS = 150
-"""Most samples that the GRU reads in training; of 25 s of recording about as many count."""
+"""Maximum number of samples that the GRU reads in training. About as many samples count in 25 s of recording."""
 
 
 def mlp(job: Job, contact_model: bool = False) -> Predictor:
-    """One network for all conditions; of the one at hand it knows at most the estimated contact parameters
-    (`sight`)."""
+    """One network for all conditions, without adaptation.
+
+    Args:
+        job: data, budget, seed and settings.
+        contact_model: whether the network sees the contact model with the estimated contact parameters (`sight`).
+    """
     sees, scale = sight(job, contact_model), output_scale(job.train.samples)
     network = MLP((*HIDDEN, scale.shape[0]), "relu")
     start = network.init(jax.random.key(job.seed), sees.mean)
@@ -38,10 +42,10 @@ def mlp(job: Job, contact_model: bool = False) -> Predictor:
 
 
 def gru(job: Job) -> Predictor:
-    """A recurrent network reads inputs and labels of the context; its last memory goes into the network's inputs."""
+    """A recurrent network that reads the inputs and labels of the context. Its final memory is an input of an MLP."""
     sees, scale = sight(job), output_scale(job.train.samples)
     cell, head = nn.GRUCell(MEMORY), MLP((*HIDDEN, scale.shape[0]), "relu")
-    # `meta_train` folds 1 into the same key.
+    # The key folds in 0, because `meta_train` folds 1 into the same key.
     cell_key, head_key = jax.random.split(jax.random.fold_in(jax.random.key(job.seed), 0))
     empty = jnp.zeros(MEMORY)
     start = {
@@ -52,7 +56,7 @@ def gru(job: Job) -> Predictor:
     def predictor(params: Any) -> Predictor:
         def read(memory: jax.Array, sample: Any) -> tuple[jax.Array, None]:
             inputs, weight = sample
-            # A sample that does not count leaves the memory as it was.
+            # A sample that does not count leaves the memory unchanged.
             return memory + weight * (jnp.asarray(cell.apply(params["cell"], memory, inputs)[0]) - memory), None
 
         def adapt(context: Context) -> tuple[Float[Array, "M"], Float[Array, "p"]]:

@@ -1,4 +1,4 @@
-"""Predictors without a network: the paper's functions of time, and no change."""
+"""Predictors without a network: the paper's functions of time, and constant velocity."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from shmoo_mjx.types import DT
 
 
 def trigonometric(job: Job) -> Predictor:
-    """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B), a ridge towards zero for each condition."""
+    """psi(t) = [sin t, sin 2t, sin 3t, cos t, cos 2t, cos 3t] (Sec. V-B), fitted to each condition with a ridge."""
     scale = output_scale(job.train.samples)
 
     def basis(time: Float[Array, "*batch"]) -> Float[Array, "*batch 6"]:
@@ -33,7 +33,7 @@ def trigonometric(job: Job) -> Predictor:
 
 
 def constant_velocity(job: Job) -> Predictor:
-    """The twist in {O} stays as it is, so that a turning object goes round in a circle."""
+    """The twist in {O} stays constant, so a turning object moves on a circle."""
     where = features.slices(features.OBJECT_INPUTS)["object_twist"]
 
     def predict(state: Any, x: Float[Array, "*batch n"], time: Float[Array, "*batch"]) -> Float[Array, "*batch 3"]:

@@ -1,7 +1,7 @@
-"""What every method of the comparison is: it is fitted once, adapts on the first samples of a condition, and predicts.
+"""Protocol of the compared methods: a method is fitted once, adapts on the first samples of a condition, and predicts.
 
-A method gets training and validation conditions and answers with a `Predictor`. A predictor meets a condition that
-it has not seen: ``adapt`` takes the condition's first samples, ``predict`` tells the acceleration at others.
+A method takes training and validation conditions and returns a `Predictor`. For an unseen condition, ``adapt`` takes
+the first samples, and ``predict`` returns the acceleration at other samples.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ Setting = dict[str, Any]
 
 
 class Recordings(NamedTuple):
-    """C conditions as arrays."""
+    """Recordings of C conditions as arrays."""
 
     samples: Samples
     time: Float[Array, "C N"]
-    """Since the recording began, gaps between episodes left out [s]."""
+    """Time since the start of the recording, without the gaps between episodes [s]."""
     pose: Float[Array, "C N 3"]
-    """Of the object in {W} at the start of each sample."""
+    """Pose of the object in {W} at the start of each sample [m, m, rad]."""
 
 
 class Context(NamedTuple):
-    """What a method adapts on: some samples of one condition in the order they were recorded."""
+    """Samples of one condition that a method adapts on, in the order of the recording."""
 
     inputs: Float[Array, "N n"]
     labels: Float[Array, "N m"]
     weights: Float[Array, "N"]
-    """0 where a sample does not count."""
+    """Weight of each sample, 0 if it does not count."""
     time: Float[Array, "N"]
-    """[s]"""
+    """Time since the start of the recording [s]."""
     contact: Float[Array, "p"] | None = None
-    """Contact parameters of the condition, where they are known already (`sight`)."""
+    """Contact parameters of the condition; None if the method has to estimate them (`sight`)."""
 
 
 class Predictor(NamedTuple):
-    """A fitted method. Both functions can be jitted; neither keeps anything between calls."""
+    """A fitted method. Both functions are pure and can be jitted."""
 
     adapt: Callable[[Context], State]
     predict: Callable[[State, Array, Array], Array]
@@ -55,14 +55,14 @@ class Predictor(NamedTuple):
 
 @dataclass(frozen=True)
 class Budget:
-    """How long a learned method may train: the same for each."""
+    """Training budget of a learned method, the same for all methods."""
 
     epochs: int = 20
-    """Most epochs."""
+    """Maximum number of epochs."""
     epoch_updates: int = 150
     """Updates per epoch."""
     patience: int = 8
-    """Chunks without a better validation score before stopping."""
+    """Number of epochs without a better validation score before the training stops."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ class Job:
     budget: Budget = field(default_factory=Budget)
     seed: int = 0
     fit_samples: int = 250
-    """Samples at the start of a validation condition that a method adapts on."""
+    """Number of first samples of a validation condition that a method adapts on."""
     directory: Path | None = None
-    """Keeps the training's checkpoint, finished or not."""
+    """Directory of the training's checkpoint; None to keep none."""
 
 
 Fit = Callable[[Job], Predictor]
@@ -85,18 +85,18 @@ Fit = Callable[[Job], Predictor]
 
 @dataclass(frozen=True)
 class Method:
-    """A sample of the comparison."""
+    """A method of the comparison."""
 
     name: str
     fit: Fit
     settings: tuple[Setting, ...]
-    """What is tried on the validation conditions, the default first. Every method that learns has as many."""
+    """Settings to try on the validation conditions, the default first. All methods that learn have as many."""
     trained: bool = True
-    """By gradient descent, so that the seed matters."""
+    """Whether the method is trained by gradient descent, so that the seed matters."""
 
 
 def recordings(dataset: store.Dataset) -> Recordings:
-    """The samples of every condition with what the comparison needs beside them."""
+    """Samples, times and poses of every condition of a data set."""
     samples = samples_from_dataset(dataset)
     n = samples.inputs.shape[1]
     poses, times = [], []
@@ -111,12 +111,12 @@ def recordings(dataset: store.Dataset) -> Recordings:
 
 
 def first_samples(recorded: Recordings, condition: int, count: int) -> Context:
-    """The first ``count`` samples of one condition, at most half of them."""
+    """The first ``count`` samples of one condition, but at most half of its samples."""
     samples, n = recorded.samples, min(count, recorded.samples.inputs.shape[1] // 2)
     i = condition
     return Context(samples.inputs[i, :n], samples.labels[i, :n], samples.weights[i, :n], recorded.time[i, :n])
 
 
 def output_scale(samples: Samples) -> Float[np.ndarray, "m"]:
-    """The unit in which methods predict."""
+    """Scale ``[m]`` of the methods' outputs: the standard deviation of each label over all samples that count."""
     return np.asarray(label_scale(samples), np.float32)

@@ -1,7 +1,8 @@
-"""Inputs of a learned method: those of psi and, if it is given one, the predictions of an estimated contact model.
+"""Inputs of a learned method: those of psi and, optionally, the predictions of an estimated contact model.
 
-With the contact model a method gets the inputs that psi has as shipped (`object_model.network_inputs`), from contact
-parameters estimated in the same way; so methods can be compared by what they learn, not by what they are told.
+With the contact model, a method gets the inputs of the shipped psi (`object_model.network_inputs`), from contact
+parameters that are estimated in the same way. Differences between methods then come from what they learn, not from
+their inputs.
 """
 
 from __future__ import annotations
@@ -20,22 +21,24 @@ from shmoo_mjx.learning.estimate import EstimateConfig
 from shmoo_mjx.learning.training_contacts import Contacts
 
 NARROWEST = 1e-3
-"""Least standard deviation that an input is divided by."""
+"""Lower limit of the standard deviation by which an input is divided."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a method sees of a sample, normalised over the training samples."""
+    """Computes the inputs of a method from a sample, normalised over the training samples."""
 
     config: ObjectConfig
-    """Only ``contact_model`` and ``last_wrench`` matter."""
+    """Config of the inputs. Only ``contact_model`` and ``last_wrench`` have an effect."""
     fit: EstimateConfig
+    """Settings of the estimate of the contact parameters."""
     contacts: Contacts
     """Contact parameters of the training and validation conditions; zeros if the method sees none."""
     label_scale: Float[Array, "m"]
     mean: Float[Array, "n"]
-    """Of what is seen."""
+    """Mean of each input over the training samples."""
     spread: Float[Array, "n"]
+    """Standard deviation of each input over the training samples."""
 
     def contact(self, context: Context) -> Float[Array, "p"]:
         """The contact parameters of the condition; zeros if the method has no contact model."""
@@ -47,13 +50,19 @@ class Sight:
         return estimate.mean(estimate.after_rows(self.fit, self.contacts[0], self.label_scale, rows))
 
     def __call__(self, inputs: Float[Array, "*batch 13"], contact: Float[Array, "p"]) -> Float[Array, "*batch n"]:
-        """What is seen of samples of an object with these contact parameters."""
+        """Normalised inputs for samples of an object with these contact parameters."""
         values = object_model.network_inputs(self.label_scale, inputs, self.config, contact)
         return (values - self.mean) / self.spread
 
 
 def sight(job: Job, contact_model: bool = True) -> Sight:
-    """What a method sees; the contact parameters are kept beside the job's directory, for other methods."""
+    """The inputs of a method for a job.
+
+    Args:
+        job: training and validation conditions. The estimated contact parameters are kept beside its directory, so that
+            other methods can use them.
+        contact_model: whether the inputs include the predictions of the contact model.
+    """
     config, fit = ObjectConfig(contact_model=contact_model), EstimateConfig()
     train, held_out = job.train.samples, job.validation.samples
     if contact_model:
