@@ -15,11 +15,14 @@ from shmoo_mjx.base.environment import headless_graphics
 
 ROOT = Path(__file__).resolve().parent.parent
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".pytest_jax_cache"))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # A red CI must be red again on the next try; at the desk each run draws new examples.
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+# Containers often forbid writing bytecode. Every process of the tests would then compile all that it imports, 5 s each.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", headless_graphics())
 

@@ -163,6 +163,7 @@ def test_a_killed_collect_goes_on(collected: Path, tmp_path: Path) -> None:
     assert files(directory) == files(collected)
 
 
+@pytest.mark.slow
 def test_a_collect_loses_nothing_wherever_it_is_killed(tmp_path: Path) -> None:
     (tmp_path / "dying.py").write_text(DYING)
     (tmp_path / "everywhere.py").write_text(EVERYWHERE)

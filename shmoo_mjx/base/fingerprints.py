@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -44,42 +44,54 @@ def code_hash(module: str) -> str:
 
     Comments and docstrings are ignored. If the plant is among the modules, its MJCF files are included.
     """
-    trees, todo = dict[str, str](), [module]
+    trees, todo = dict[str, str](), {module}
     while todo:
         name = todo.pop()
-        if name in trees:
+        if name in trees or not _source(name).is_file():
             continue
-        tree = _NoDocstrings().visit(ast.parse(_source(name).read_text(encoding="utf-8")))
-        trees[name] = ast.dump(tree)
-        todo += _imported(tree)
+        trees[name], imported = _parsed(_source(name).read_text(encoding="utf-8"))
+        todo |= imported - trees.keys()
     if f"{_PACKAGE}.plant" in trees:
         models = asset("models_xml")
         trees |= {str(p.relative_to(models)): p.read_text(encoding="utf-8") for p in models.rglob("*.xml")}
     return hashlib.sha256(json.dumps(trees, sort_keys=True).encode()).hexdigest()
 
 
-class _NoDocstrings(ast.NodeTransformer):
-    """Removes strings that stand alone: docstrings of modules, classes, functions and fields."""
+@cache
+def _parsed(source: str) -> tuple[str, frozenset[str]]:
+    """Syntax tree of a module without docstrings, and names of this package that it may import.
+
+    The names include functions and classes, and the packages that contain a module.
+    """
+    code = _Code()
+    tree = ast.dump(code.visit(ast.parse(source)))
+    return tree, frozenset(code.imported)
+
+
+class _Code(ast.NodeTransformer):
+    """Removes strings that stand alone: docstrings of modules, classes, functions and fields. Collects imports."""
+
+    def __init__(self) -> None:
+        self.imported = set[str]()
 
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         """None, which removes the node, for a string."""
         alone = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         return None if alone else node
 
+    def visit_Import(self, node: ast.Import) -> ast.Import:
+        self._add(alias.name for alias in node.names)
+        return node
 
-def _imported(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
+        self._add(f"{node.module}.{alias.name}" for alias in node.names)
+        return node
+
+    def _add(self, names: Iterable[str]) -> None:
         for name in names:
             parts = name.split(".")
             if parts[0] == _PACKAGE:
-                parents = (".".join(parts[:n]) for n in range(1, len(parts) + 1))
-                yield from (parent for parent in parents if _source(parent).is_file())
+                self.imported |= {".".join(parts[:n]) for n in range(1, len(parts) + 1)}
 
 
 def _source(module: str) -> Path:

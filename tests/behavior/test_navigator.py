@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy import toy_scenario
-from toy_world import HALF, Stand, World, reasons, run, said, visited
+from toy_world import HALF, Stand, World, plain_run, reasons, run, said, visited
 
 from shmoo_mjx.behavior import push_options
 from shmoo_mjx.behavior.belief import Status
@@ -22,7 +22,7 @@ from shmoo_mjx.types import DT, Observation
 
 
 def test_a_movable_box_in_the_only_doorway_is_pushed_away() -> None:
-    navigator, world = run(doors=1)
+    navigator, world = plain_run(1)
     assert navigator.mode is Mode.DONE
     assert {Mode.APPROACH, Mode.CONTACT, Mode.PROBE, Mode.PUSH, Mode.RETREAT} <= visited(navigator)
     assert np.linalg.norm(world.box[:2] - (3.0, 2.025)) > 0.3
@@ -173,6 +173,7 @@ def test_what_was_given_up_is_looked_at_again_once_something_has_been_pushed_sin
     assert (navigator.mode is Mode.FOLLOW) == again
 
 
+@pytest.mark.slow
 def test_what_holds_the_hands_and_is_never_felt_is_given_up() -> None:
     """As where two objects carry each other's tags: what is felt is said of the other one."""
 
@@ -212,7 +213,7 @@ def test_what_holds_is_left_however_well_the_model_speaks_of_it(decides_by: Any,
 
 @pytest.mark.parametrize("movable", [True, False])
 def test_the_probe_leans_in_firmly_until_the_object_moves(movable: bool) -> None:
-    navigator, _ = run(1, movable=movable)
+    navigator, _ = plain_run(1, movable)
     rooms = navigator.setup.controller.rooms
     firm = [room == PROBE_ROOM for room in rooms]
     assert firm[0] and not all(firm)

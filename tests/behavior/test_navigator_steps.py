@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from toy import toy_scenario
-from toy_world import HALF, Stand, World, reasons, run
+from toy_world import HALF, Stand, World, plain_run, reasons, run
 
 from shmoo_mjx.behavior.interaction import setup_of
 from shmoo_mjx.behavior.navigator import MODES, Navigator, init, step
@@ -28,7 +28,7 @@ def test_the_toy_scenario_is_what_it_says() -> None:
 
 def test_runs_keep_to_the_transition_table() -> None:
     for doors, movable in ((1, True), (2, False), (1, False)):
-        navigator, _ = run(doors, movable)
+        navigator, _ = plain_run(doors, movable)
         for transition in navigator.transitions:
             assert transition.target in MODES[transition.source].leads_to, transition
 
@@ -53,7 +53,7 @@ def test_a_decision_takes_effect_when_it_would_be_known_and_the_robot_goes_on_un
     assert found.t == pytest.approx(0.3)
     probe = next(t.t for t in navigator.transitions if t.target is Mode.PROBE)
     verdict = next(t.t for t in navigator.transitions if t.target is Mode.PUSH)
-    at_once, _ = run(1)
+    at_once, _ = plain_run(1)
     before = [next(t.t for t in at_once.transitions if t.target is m) for m in (Mode.PROBE, Mode.PUSH)]
     assert verdict - probe >= before[1] - before[0] + 0.2
     assert np.linalg.norm(world.velocity) < 0.15

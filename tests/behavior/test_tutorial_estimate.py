@@ -19,6 +19,7 @@ from shmoo_mjx.sensing import REAL, SensedEngine
 from shmoo_mjx.types import DT
 
 BOX = draw_condition("box", 3, {"mass": 6.0, "friction": 0.4})
+pytestmark = pytest.mark.slow
 Estimates = tuple[dict[str, np.ndarray], np.ndarray]
 
 

@@ -271,7 +271,7 @@ def tries(count: int) -> Any:
     return settings(max_examples=count, deadline=None, suppress_health_check=ignored)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [25, pytest.param(5000, marks=pytest.mark.slow)])
 def test_spoilt_files(count: int, spoiling: Path, good: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tries(count)(given(cases(good))(lambda case: check_files(case, spoiling, good, monkeypatch)))()
 

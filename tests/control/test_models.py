@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import pytest
 
 from shmoo_mjx.control import cost, models, mppi
 from shmoo_mjx.dynamics import core
@@ -39,6 +40,7 @@ def test_a_model_starts_from_a_state() -> None:
     )
 
 
+@pytest.mark.slow
 def test_mppi_pushes_the_object_forward() -> None:
     weights = load_weights()
     model = models.learned(weights.params, weights.config)

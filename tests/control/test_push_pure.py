@@ -156,6 +156,7 @@ def test_what_is_let_go_coasts_as_far_as_the_friction_of_its_contacts_lets_it(fr
     np.testing.assert_allclose(rest - now.object_pose, way * along, atol=0.6 * friction * 9.81 * DT**2)
 
 
+@pytest.mark.slow
 def test_what_a_wall_holds_is_not_learned_as_friction() -> None:
     weights = load_weights(ROOT / "experiments/weights/demo.safetensors")
     base = pose_push_config()

@@ -36,7 +36,10 @@ PRINTS = {
 }
 NEEDS = {"docs/gym.md": "gymnasium"}
 LINES_OF_A_TASK = 32
-LONG = tuple(f"{HOW_TO}{name}.md" for name in ("daiml", "learner", "mppi", "object_planner"))
+LONG = (
+    "README.md",
+    *(f"{HOW_TO}{name}.md" for name in ("cost", "daiml", "learner", "mppi", "object_planner", "recording")),
+)
 """Pages whose examples train, record or compile for half a minute."""
 LONGEST = 130
 """Lines of a how-to page."""

@@ -116,6 +116,7 @@ def test_rollout_is_step_repeated_and_batches() -> None:
     np.testing.assert_allclose(over_coefficients(batch).object_pose[0, -1], one.object_pose, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_rollout_is_differentiable() -> None:
     params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), SHAPE))
 

@@ -140,13 +140,18 @@ CONFIGS = [
     CoreConfig(unilateral=False, euler=True, object=ObjectConfig.paper()),
     CoreConfig(robot=RobotConfig(activation="tanh"), object=ObjectConfig(activation="silu", hidden=(16,), functions=3)),
 ]
+EACH = [
+    pytest.param(CONFIGS[0], id="shipped"),
+    pytest.param(CONFIGS[1], id="paper", marks=pytest.mark.slow),
+    pytest.param(CONFIGS[2], id="other", marks=pytest.mark.slow),
+]
 
 
-@pytest.mark.parametrize("config", CONFIGS, ids=["shipped", "paper", "other"])
+@pytest.mark.parametrize("config", EACH)
 def test_step_agrees_with_the_plain_transition(config: CoreConfig) -> None:
     params, rng = random_params(config), np.random.default_rng(2)
-    states = [random_state(rng) for _ in range(60)]
-    commands = 0.15 * rng.standard_normal((60, 3)).astype(np.float32)
+    states = [random_state(rng) for _ in range(25)]
+    commands = 0.15 * rng.standard_normal((25, 3)).astype(np.float32)
     batch = jax.tree.map(lambda *x: np.stack(x), *states)
     new, wrenches = jax.jit(lambda s, u: core.step(params, s, u, config))(batch, commands)
     pushing = 0
@@ -157,7 +162,7 @@ def test_step_agrees_with_the_plain_transition(config: CoreConfig) -> None:
         for name, value in expected.items():
             np.testing.assert_allclose(getattr(new, name)[i], value, atol=1e-5 * scale, err_msg=name)
         pushing += bool(np.any(wrench))
-    assert pushing > 20
+    assert pushing > 8
 
 
 def test_rollouts_in_one_call_are_steps_one_by_one() -> None:
@@ -177,7 +182,7 @@ def test_rollouts_in_one_call_are_steps_one_by_one() -> None:
         np.testing.assert_allclose(together[1][2, 3, t], wrench, atol=2e-4)
 
 
-@pytest.mark.parametrize("config", CONFIGS, ids=["shipped", "paper", "other"])
+@pytest.mark.parametrize("config", EACH)
 def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)
@@ -190,6 +195,7 @@ def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     assert fused.layers.biases[-1].shape == (3,)
 
 
+@pytest.mark.slow
 def test_the_state_s_own_batch_and_the_controls_combine() -> None:
     """A batch of states with faces of their own, each with its own controls."""
     config, rng = CoreConfig(), np.random.default_rng(5)

@@ -67,6 +67,7 @@ def test_every_method_tries_as_many_settings() -> None:
     assert all(len({str(s) for s in method.settings}) == len(method.settings) == 4 for method in learn)
 
 
+@pytest.mark.slow
 def test_time_alone_explains_nothing(job: Job, unseen: Recordings) -> None:
     assert unexplained(fitted("trigonometric", job), unseen, job) > 0.8
 
@@ -93,6 +94,7 @@ def contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training_contacts, "estimated", drawn)
 
 
+@pytest.mark.slow
 def test_what_sees_the_contact_model_sees_what_psi_sees(contacts: None, job: Job) -> None:
     sees, plain = sight.sight(job), sight.sight(job, contact_model=False)
     context, contact = first_samples(job.train, 0, 50), sees.contacts[1][0, -1]
@@ -116,6 +118,7 @@ def test_predictions_depend_on_the_contact_parameters_seen(name: str, contacts: 
     assert bool(jnp.all(jnp.isfinite(one))) and float(jnp.max(jnp.abs(one - other))) > 1e-3
 
 
+@pytest.mark.slow
 def test_networks_without_a_context_do_not_care_for_it(job: Job, unseen: Recordings) -> None:
     predictor = fitted("mlp", job, learning_rate=3e-3)
     own = unexplained(predictor, unseen, job)

@@ -31,6 +31,7 @@ def test_a_light_box_in_the_only_doorway_is_pushed_through_and_a_heavy_one_block
     assert {a.result for a in heavy.attempts} <= {"stuck", "failed"} and all(a.steering == 0 for a in heavy.attempts)
 
 
+@pytest.mark.slow
 def test_no_push_is_tried_from_where_the_object_is_not_in_the_way() -> None:
     """From the goal's side of a doorway every push would seem to free the way: the robot has gone round already."""
     grid, scenario = toy_scenario(2, False)
@@ -56,6 +57,7 @@ def test_a_chain_counts_for_the_object_that_is_pushed_first() -> None:
     assert found.options() == {None: 60.0, 0: 45.0, 2: 50.0} and found.pushed == (0, 1)
 
 
+@pytest.mark.slow
 def test_replaying_gives_the_same_again() -> None:
     again = replay(*toy_scenario(1, True), toy(True))
     assert [a.result for a in again] == ["free"]

@@ -92,7 +92,8 @@ def learned(printed: bool) -> Any:
     return jax.jit(lambda samples: jax.lax.scan(one, start, transitions(*samples)))
 
 
-@pytest.mark.parametrize("printed", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["posterior", "Eq. 8"])
+@pytest.mark.slow
+@pytest.mark.parametrize("printed", [False, True], ids=["posterior", "Eq. 8"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_minutes_of_anything_leave_it_sound(kind: str, printed: bool, synthetic_dataset: store.Dataset) -> None:
     check_sound(printed, recorded(synthetic_dataset, 300) if kind == "recorded" else sequences(kind, 300))

@@ -127,6 +127,7 @@ def test_design_matrix_is_the_model() -> None:
         np.testing.assert_allclose(phi @ a.reshape(-1), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_condition_recorded_for_less_long_is_padded_with_what_the_contact_model_can_take(
     synthetic_dataset: store.Dataset,
 ) -> None:

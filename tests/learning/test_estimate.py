@@ -111,6 +111,7 @@ def test_what_has_lost_all_weight_begins_anew_and_says_so() -> None:
     np.testing.assert_allclose(estimate.mean(again), PRIOR.mean(axis=0), atol=0.25)
 
 
+@pytest.mark.slow
 def test_equal_keys_give_equal_estimates_and_mapping_changes_nothing() -> None:
     samples = pushed(box(6.0, 0.4), pulses(24.0, 8))
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *samples)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 
-from shmoo_mjx.control import models
+from shmoo_mjx.dynamics import core
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.geometry.hands import REACH
 from shmoo_mjx.learning.contact_prior import mirrored
@@ -39,11 +40,15 @@ def test_neither_side_is_preferred() -> None:
     same, other = [], []
     draws = np.asarray(weights.contact_prior)
     symmetrical = [(draw + mirrored(draw)) / 2 for draw in draws[:3]]
+
+    @jax.jit
+    def roll(contact: jax.Array, state: SystemState) -> SystemState:
+        return core.rollout(weights.params._replace(contact=contact), state, controls, weights.config)[0]
+
     np.testing.assert_allclose(draws.mean(axis=0), mirrored(draws.mean(axis=0)), atol=1e-5)
     for half_extents in (LONG, WIDE):
         for contact in symmetrical:
-            model = models.learned(weights.params._replace(contact=contact), weights.config)
-            poses = np.asarray(model(pushed(half_extents), controls).object_pose)[:, -1]
+            poses = np.asarray(roll(contact, pushed(half_extents)).object_pose)[:, -1]
             there, reflected = poses[:50, 1:], -poses[50:, 1:]
             same.append((there + reflected) / 2)
             other.append((there - reflected) / 2)

@@ -28,7 +28,7 @@ def condition(seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def fitted() -> ObjectFit:
     train, held_out = ({str(i): condition(i) for i in part} for part in (range(12), range(12, 16)))
-    return shmoo.fit(train, held_out, shmoo.DaimlConfig(epochs=4, epoch_updates=60, adapt_samples=60))
+    return shmoo.fit(train, held_out, shmoo.DaimlConfig(epochs=2, epoch_updates=60, adapt_samples=60))
 
 
 def error(fit: ObjectFit, x: np.ndarray, y: np.ndarray) -> float:

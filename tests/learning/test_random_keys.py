@@ -144,6 +144,7 @@ def test_training_of_psi(reused: Callable[[], list[Any]]) -> None:
     assert not reused()
 
 
+@pytest.mark.slow
 def test_training_of_r(reused: Callable[[], list[Any]], synthetic_dataset: Any) -> None:
     from shmoo_mjx.learning.robot_fit import RobotFitConfig, train_robot
 

@@ -41,6 +41,7 @@ def test_killed_and_started_again_gives_the_same(tmp_path: Path, synthetic_datas
     jax.tree.map(np.testing.assert_array_equal, resumed.params, whole.params)
 
 
+@pytest.mark.slow
 def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset) -> None:
     known = robot_fit.train_robot(synthetic_dataset, None, SMALL)
     brief = replace(SMALL, epochs=1, epoch_updates=5, learning_rate=1e-4)
@@ -49,6 +50,7 @@ def test_fine_tuning_starts_from_what_is_known(synthetic_dataset: store.Dataset)
     assert tuned.score < 1.2 * known.score < fresh.score
 
 
+@pytest.mark.slow
 def test_over_one_sample_a_roll_out_is_the_one_step_of_eq_7(synthetic_dataset: store.Dataset) -> None:
     config = replace(SMALL, horizon=1)
     params = robot_fit.train_robot(synthetic_dataset, None, replace(SMALL, epochs=1)).params
@@ -62,6 +64,7 @@ def test_over_one_sample_a_roll_out_is_the_one_step_of_eq_7(synthetic_dataset: s
     np.testing.assert_allclose(rolled, np.mean((error / params.output_scale) ** 2), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_roll_outs_stay_within_an_episode(synthetic_dataset: store.Dataset) -> None:
     rows = robot_fit.samples_from_dataset(synthetic_dataset)
     ends = np.flatnonzero(rows.following == 0)

@@ -82,6 +82,7 @@ def test_a_light_box_is_known_and_judged(light: dict[str, np.ndarray], light_run
     assert np.isfinite(trace.learned[trace.learned_object == 0]).all() and len(trace.t) == len(log.t)
 
 
+@pytest.mark.slow
 def test_what_a_sample_teaches_is_not_known_before(
     light: dict[str, np.ndarray], light_run: LogRun, tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def test_a_run_is_repeated_from_its_folder_alone(
     assert done.returncode == 2 and "input of this command" in done.stderr
 
 
+@pytest.mark.slow
 def test_weights_of_an_earlier_run_do_not_stay(inputs: Path, shmoo: Shmoo) -> None:
     words = ["navigate", "--no-video", "--map", "maps/floor.yaml", "--start=1,1,0", "--goal=1.2,1", "--out", "out"]
     assert shmoo(*words, "--weights", "own.safetensors").returncode == 0

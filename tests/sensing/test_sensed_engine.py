@@ -113,7 +113,7 @@ def test_a_step_appears_after_the_stated_delay() -> None:
     """Frames come every 33 ms and are 20 to 40 ms old; a jump is believed from the third on."""
     believing = altered(EXACT, tracker={"gate": 1e9})
     scene = build_scene([(BOX, (2.0, 0.0, 0.0))])
-    for seed in range(4):
+    for seed in range(2):
         with SensedEngine([scene], believing, seed) as engine:
             late = int(engine._drawn.frame_delay[0])
             assert 2 <= late <= 4
@@ -134,7 +134,7 @@ def test_a_step_appears_after_the_stated_delay() -> None:
         assert first is not None and 8 <= first <= 15
 
 
-@pytest.mark.parametrize("distance", [0.75, 1.5, 3.0])
+@pytest.mark.parametrize("distance", [0.75, 3.0])
 def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: float) -> None:
     still = altered(
         NOMINAL,
@@ -172,7 +172,7 @@ def test_drop_outs_and_bursts() -> None:
     often = altered(EXACT, camera={"drop_out": 0.0, "burst": 0.1})
     with SensedEngine([scene] * 10, often, list(range(10))) as engine:
         world, ages = engine.init(), []
-        for _ in range(40):
+        for _ in range(25):
             world, seen = engine.step(world, stand(10))
             ages.append(seen.object_age[:, 0])
             assert (seen.object_age[:, 0][seen.detected[:, 0]] < 0.145).all()
