@@ -57,12 +57,7 @@ def picture(scene: str, size: tuple[int, int], *, tab: str, view: str, pushed: f
             runner.start()
             window.chrome.get(page.url)
             time.sleep(_LOADING)
-            # Opens the tab and closes the notice about software rendering.
-            notice = "//*[contains(@class, 'Notification-closeButton')]"
-            for button in window.chrome.find_elements(
-                By.XPATH, f"//button[@role='tab'][contains(., '{tab}')] | {notice}"
-            ):
-                window.chrome.execute_script("arguments[0].click()", button)
+            _wait(lambda: window.opened(tab))
             page.paused = False
             _wait(lambda: _pushed_for(session) >= pushed)
             page.paused = True
@@ -81,6 +76,16 @@ class _Window:
         self.chrome: Any = browser()
         metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": size[0] < 600}
         self.chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+    def opened(self, tab: str) -> bool:
+        """Close the notice about software rendering and open the tab, if it is there already."""
+        for button in self.chrome.find_elements(By.XPATH, "//*[contains(@class, 'Notification-closeButton')]"):
+            self.chrome.execute_script("arguments[0].click()", button)
+        # A script's click does not open a tab. On a phone, a tab is only its text.
+        found = self.chrome.find_elements(By.XPATH, f"//*[@role='tab'][@title='{tab}'] | //*[text()='{tab}']")
+        for element in found[:1]:
+            element.click()
+        return bool(found)
 
     def screenshot(self, tries: int = 5) -> Image.Image:
         """The page as the browser shows it."""

@@ -211,9 +211,9 @@ def manoeuvres(senses: Senses) -> tuple[dict[str, Any], dict[str, Track]]:
 
 
 def table(nominal: dict[str, Any], proxy: dict[str, Any]) -> str:
-    """Markdown table of the numbers of the nominal robot, of the worst proxy robot, and of published ones."""
+    """Markdown table of the numbers of the nominal robot, of all proxy robots together, and of published ones."""
     lines = [[name, f"{nominal[name]:.3g}", f"{proxy[name]:.3g}", PUBLISHED.get(name, "")] for name in nominal]
-    return markdown_table(["", "nominal", f"worst of {ROBOTS} proxy robots", "published"], lines)
+    return markdown_table(["", "nominal", f"{ROBOTS} proxy robots", "published"], lines)
 
 
 def impulses(senses: Senses) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
