@@ -128,7 +128,7 @@ VARIANTS = (
 
 
 def draw(condition_seed: int, runs: int) -> list[Trial]:
-    """Trials of all strata, with ``runs`` objects of each family, to the two goals that need steering."""
+    """Trials of movable and demanding objects, ``runs`` of each family, to the two goals that need steering."""
     first = ExperimentOptions(condition_seed=condition_seed).first_unseen
     return [trial for stratum in STRATA[:2] for trial in draw_trials(first, 0, runs, goals=(2, 3), stratum=stratum)]
 

@@ -144,7 +144,7 @@ def commands_table(results: Mapping[str, ExperimentResult]) -> str:
             used.setdefault(name, set()).add(version)
     shown = [name for name in sections() if name in results]
     rows = [[f"[{sections()[name].title}](#{_anchor(name)})", f"`{_command(results[name])}`"] for name in shown]
-    versions = ", ".join(f"{name} {' and '.join(sorted(v))}" for name, v in used.items())
+    versions = ", ".join(f"{name} {' / '.join(sorted(v))}" for name, v in used.items())
     return f"{markdown_table(['experiment', 'command'], rows)}\n\nVersions: {versions}."
 
 

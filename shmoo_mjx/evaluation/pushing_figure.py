@@ -78,7 +78,7 @@ def _offsets(axis: Any, rows: list[dict[str, Any]]) -> None:
         axis.hlines(PAPER[f"offset_goal{goal}_m"], goal - 0.45, goal + 0.45, color="black", lw=1.2, label=label)
     axis.axhline(0.25, color="grey", lw=0.8, ls=":")
     axis.set(xlabel="goal", xticks=goals)
-    axis.set_title("final distance from the goal [m], bars: mean", fontsize=10)
+    axis.set_title("distance from the goal [m]; bars: mean", fontsize=10)
     axis.set_yscale("symlog", linthresh=0.1)
     axis.set_yticks([0, 0.05, 0.1, 0.25, 0.5, 1.0], ["0", "0.05", "0.1", "0.25", "0.5", "1"])
     axis.legend(fontsize=7)
