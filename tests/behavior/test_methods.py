@@ -84,6 +84,7 @@ def navigate(shmoo: Shmoo, seconds: float, *objects: ObjectEntry) -> dict[str, A
     return dict(json.loads(Path("run/result.json").read_text()))
 
 
+@pytest.mark.slow
 def test_a_run_says_its_method_and_is_repeated_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shmoo: Shmoo
 ) -> None:

@@ -193,7 +193,9 @@ def test_the_first_decision_falls_after_a_second_of_contact(decides_by: Any) -> 
     assert 1.0 - DT < decided - began < 2.0
 
 
-@pytest.mark.parametrize(("decides_by", "doors"), [("time", 2), ("time", 1), ("K", 2)])
+@pytest.mark.parametrize(
+    ("decides_by", "doors"), [("time", 2), pytest.param("time", 1, marks=pytest.mark.slow), ("K", 2)]
+)
 def test_what_holds_is_left_however_well_the_model_speaks_of_it(decides_by: Any, doors: int) -> None:
     """Each push ends once it stalls, and the next one on that side is trusted less; by Algorithm 1 it is registered."""
 
@@ -320,6 +322,7 @@ def test_a_policy_that_avoids_everything_touches_nothing() -> None:
     assert blocked.mode is Mode.FAILED and Mode.APPROACH not in visited(blocked)
 
 
+@pytest.mark.slow
 def test_a_policy_that_never_goes_round_pushes_until_it_gives_up() -> None:
     navigator, _ = run(doors=1, movable=False, config=NavigatorConfig(goes_round="never"), seconds=200.0)
     assert navigator.mode is Mode.FAILED
@@ -327,6 +330,7 @@ def test_a_policy_that_never_goes_round_pushes_until_it_gives_up() -> None:
     assert navigator.belief.objects[0].pushes > 0
 
 
+@pytest.mark.slow
 def test_a_policy_that_always_goes_round_pushes_only_where_there_is_no_way_round() -> None:
     config = NavigatorConfig(goes_round="always")
     navigator, _ = run(doors=2, config=config)

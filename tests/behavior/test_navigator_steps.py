@@ -26,6 +26,7 @@ def test_the_toy_scenario_is_what_it_says() -> None:
     assert toy_scenario(1, True)[0].values_at((3.0, 0.6)) == 100
 
 
+@pytest.mark.slow
 def test_runs_keep_to_the_transition_table() -> None:
     for doors, movable in ((1, True), (2, False), (1, False)):
         navigator, _ = plain_run(doors, movable)

@@ -276,7 +276,7 @@ def test_spoilt_files(count: int, spoiling: Path, good: Path, monkeypatch: pytes
     tries(count)(given(cases(good))(lambda case: check_files(case, spoiling, good, monkeypatch)))()
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [25, pytest.param(5000, marks=pytest.mark.slow)])
 def test_options_at_any_value(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tries(count)(given(options())(lambda words: check_options(words, monkeypatch)))()
 

@@ -115,6 +115,7 @@ def test_bad_input_is_answered_with_one_sentence(
     assert not (folder / "runs").exists() and not (folder / "weights.safetensors").exists()
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_answers_the_same(done: dict[str, Done]) -> None:
     check_refused(done["bad input"], BAD_INPUT["map without its image"][1])
 

@@ -28,6 +28,7 @@ def test_a_setting_that_names_nothing_here_gets_one_sentence(tmp_path: Path, var
     assert len(done.stderr.splitlines()) == 1 and not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_doctor_names_those_settings_and_goes_on(tmp_path: Path) -> None:
     done = shmoo("doctor", tmp_path, **SETTINGS)
     assert done.returncode == 1, done.stderr

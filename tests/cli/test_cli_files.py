@@ -77,7 +77,8 @@ def test_of_two_processes_in_one_folder_the_second_is_turned_away(
     )
 
 
-@pytest.mark.parametrize("home", [None, pytest.param("/proc/none", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("home", [None, "/proc/none"])
 def test_no_home_and_the_c_locale_do_no_harm(home: str | None, tmp_path: Path) -> None:
     place = room(tmp_path / "Möbel 桌子")
     environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", "LANG")}

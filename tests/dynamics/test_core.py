@@ -98,6 +98,7 @@ def test_a_lag_is_exact_for_any_damping() -> None:
         np.testing.assert_allclose(new_rate, expected[1], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_rollout_is_step_repeated_and_batches() -> None:
     params = core.init(jax.random.key(0))._replace(coefficients=0.3 * jax.random.normal(jax.random.key(2), SHAPE))
     controls = 0.1 * jax.random.normal(jax.random.key(1), (4, 6, 3))

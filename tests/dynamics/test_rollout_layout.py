@@ -165,6 +165,7 @@ def test_step_agrees_with_the_plain_transition(config: CoreConfig) -> None:
     assert pushing > 8
 
 
+@pytest.mark.slow
 def test_rollouts_in_one_call_are_steps_one_by_one() -> None:
     config, rng = CoreConfig(), np.random.default_rng(3)
     params, state = random_params(config), random_state(rng)
@@ -182,7 +183,8 @@ def test_rollouts_in_one_call_are_steps_one_by_one() -> None:
         np.testing.assert_allclose(together[1][2, 3, t], wrench, atol=2e-4)
 
 
-@pytest.mark.parametrize("config", EACH)
+@pytest.mark.slow
+@pytest.mark.parametrize("config", CONFIGS, ids=["shipped", "paper", "other"])
 def test_folding_changes_no_prediction(config: CoreConfig) -> None:
     params = random_params(config)
     x = np.random.default_rng(4).standard_normal((7, 13)).astype(np.float32)

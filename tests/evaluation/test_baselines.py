@@ -126,6 +126,7 @@ def test_networks_without_a_context_do_not_care_for_it(job: Job, unseen: Recordi
     assert unexplained(predictor, with_context(unseen, -1.0), job) == pytest.approx(own)
 
 
+@pytest.mark.slow
 def test_a_finished_training_is_read_back(job: Job, tmp_path: Path) -> None:
     kept = replace(job, setting={"learning_rate": 1e-3}, budget=Budget(2, 10, 2), directory=tmp_path)
     first = METHODS["mlp"].fit(kept)

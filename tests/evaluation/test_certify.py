@@ -21,6 +21,7 @@ def toy(movable: bool) -> Certificate:
     return certify(*toy_scenario(1, movable))
 
 
+@pytest.mark.slow
 def test_a_light_box_in_the_only_doorway_is_pushed_through_and_a_heavy_one_blocks() -> None:
     light, heavy = toy(True), toy(False)
     assert light.round_s is None and light.pushed == (0,) and light.moves(0, 0.5)

@@ -209,6 +209,7 @@ def test_the_paper_pushes_with_its_own_weights_and_settings() -> None:
     assert pusher.config == method_named("paper").pose_pushing
 
 
+@pytest.mark.slow
 def test_finished_trials_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     stops = [5]

@@ -109,6 +109,7 @@ def test_a_folder_of_the_name_of_a_shipped_set_does_not_hide_it(
     assert find_set(Path("floor_plans")) == Path("floor_plans")
 
 
+@pytest.mark.slow
 def test_the_arena_has_100_certified_scenarios_without_maps_of_others(tmp_path: Path) -> None:
     places, _ = open_set(find_set(Path("arena")), tmp_path)
     assert places.entries is not None and len(places.entries) == 100 and len(places.maps) == 25

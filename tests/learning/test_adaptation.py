@@ -104,6 +104,7 @@ def test_the_sign_of_the_tracking_term() -> None:
 _RUN = jax.jit(run, static_argnums=0)
 
 
+@pytest.mark.slow
 @settings(max_examples=4, deadline=None)
 @given(
     st.integers(0, 2**31 - 1),

@@ -73,7 +73,7 @@ def test_killed_and_started_again_gives_the_same(
     jax.tree.map(np.testing.assert_array_equal, resumed.params, trained.params)
 
 
-@pytest.mark.parametrize("per_axis", [False, True])
+@pytest.mark.parametrize("per_axis", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_open_loop_feeds_its_own_twist_back(per_axis: bool) -> None:
     config = ObjectConfig(hidden=(8,), per_axis=per_axis, linear_terms=True)
     params = object_model.init(jax.random.key(0), config)

@@ -63,7 +63,7 @@ def pulses(limit: float, count: int = 40) -> np.ndarray:
     return limit * np.tile([0.5, 0.9, 1.3, 1.4, 1.2, 0.8, 0.0, 0.0], count // 8)
 
 
-@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize("late", [pytest.param(0, marks=pytest.mark.slow), 1])
 @pytest.mark.parametrize(("mass", "friction"), [(6.0, 0.4), (16.0, 0.3)])
 def test_a_box_is_known_after_four_seconds_and_its_mass_never_jumps(mass: float, friction: float, late: int) -> None:
     states = after(pushed(box(mass, friction), pulses(mass * friction * 9.81), late))

@@ -35,6 +35,7 @@ def error(fit: ObjectFit, x: np.ndarray, y: np.ndarray) -> float:
     return float(np.mean((fit.predict(x) - y) ** 2) / np.var(y))
 
 
+@pytest.mark.slow
 def test_it_adapts_to_a_condition_it_has_not_seen(fitted: ObjectFit) -> None:
     x, y = condition(99)
     assert fitted.predict(x).shape == (120, 2)

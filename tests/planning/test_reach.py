@@ -63,6 +63,7 @@ def straight(found: Outcomes) -> np.ndarray:
     return found.object_pose[2, :, :, 0]
 
 
+@pytest.mark.slow
 def test_what_is_light_goes_as_fast_as_the_robot_and_what_is_heavy_stays() -> None:
     light = straight(outcomes(draw_condition("box", 3, {"mass": 4.0, "friction": 0.3})))
     heavy = straight(outcomes(draw_condition("box", 3, {"mass": 60.0, "friction": 0.6})))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from shmoo_mjx.learning import online
+from shmoo_mjx.report import html
 from shmoo_mjx.report.trace import Trace
 
 STATES = ("follow path", "approach", "probe", "push", "retreat", "replan", "done")
@@ -117,6 +118,12 @@ def make_result() -> dict[str, Any]:
         "config": {"samples": 500, "horizon": 30},
         "versions": {"mujoco": "3.17.0", "shmoo_mjx": "0.1.0"},
     }
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without figures, which take 5 s to draw."""
+    monkeypatch.setattr(html, "to_png", lambda figure, dpi=0: b"\x89PNG")
 
 
 @pytest.fixture

@@ -80,6 +80,7 @@ def test_report_is_one_self_contained_page(tmp_path: Path, trace: Trace, result:
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_objects_have_one_name_and_rows_can_be_stacked_on_a_phone(trace: Trace, result: dict[str, Any]) -> None:
     for number, item in enumerate(result["objects"]):
         item["id"] = number
@@ -95,6 +96,7 @@ def test_objects_have_one_name_and_rows_can_be_stacked_on_a_phone(trace: Trace, 
     assert not [cell for cell in re.findall(r"<td[^>]*>", body) if "data-label" not in cell]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_large_film_is_linked(
     tmp_path: Path, trace: Trace, result: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,6 +157,7 @@ def test_without_words_about_it_an_obstacle_is_one_from_the_last_change_of_mind_
     assert [words.registered_at(result, "chair-2", t) for t in (30.0, 32.0, 33.0)] == [False, False, True]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_captions_say_what_the_robot_does(trace: Trace, result: dict[str, Any]) -> None:
     options = [
         {"text": "push from behind", "works_s": 20.0, "mean_s": 24.0, "probability": 0.92},
@@ -200,6 +203,7 @@ def test_a_goal_is_drawn_with_its_yaw_only_where_it_counts(trace: Trace, result:
     assert after == before + 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_long_pushes_show_only_the_telling_decisions(trace: Trace, result: dict[str, Any]) -> None:
     first, last = result["decisions"]
     verdicts = [True, True, False, True, True, True]

@@ -50,6 +50,7 @@ def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_is_repeated_from_its_folder_alone(
     inputs: Path, tmp_path: Path, shmoo: Shmoo, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,6 +109,7 @@ def test_never_seen_objects_have_no_pose() -> None:
         np.testing.assert_allclose(seen.object_pose[0, 0, :2], (-2.0, 0.0), atol=0.03)
 
 
+@pytest.mark.slow
 def test_a_step_appears_after_the_stated_delay() -> None:
     """Frames come every 33 ms and are 20 to 40 ms old; a jump is believed from the third on."""
     believing = altered(EXACT, tracker={"gate": 1e9})
@@ -134,7 +135,7 @@ def test_a_step_appears_after_the_stated_delay() -> None:
         assert first is not None and 8 <= first <= 15
 
 
-@pytest.mark.parametrize("distance", [0.75, 3.0])
+@pytest.mark.parametrize("distance", [pytest.param(0.75, marks=pytest.mark.slow), 3.0])
 def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: float) -> None:
     still = altered(
         NOMINAL,
@@ -160,6 +161,7 @@ def test_noise_is_that_of_the_camera_and_less_in_what_is_published(distance: flo
         assert (share > low).all() and (share < high).all(), (name, share)
 
 
+@pytest.mark.slow
 def test_drop_outs_and_bursts() -> None:
     scene = build_scene([(BOX, (1.5, 0.0, 0.0))])
     blind = altered(EXACT, camera={"drop_out": 1.0})
@@ -304,6 +306,7 @@ def test_worlds_have_robots_and_noise_of_their_own() -> None:
     assert np.abs(np.diff(seen.object_pose[:, 0, 0])).min() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(4, 9), (7, 2, 4)])
 def test_each_world_is_what_it_is_alone_with_its_seed(seeds: tuple[int, ...]) -> None:
     scenes = [build_scene([(BOX, AHEAD)], adjust=REAL.adjust(seed)) for seed in seeds]

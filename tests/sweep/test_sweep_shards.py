@@ -127,6 +127,7 @@ ShardRunner(Sweep.open(config, Path(sys.argv[1])), make=lambda family, controlle
 """
 
 
+@pytest.mark.slow
 def test_killed_it_goes_on_and_ends_as_if_it_had_not_been(config: SweepConfig, tmp_path: Path, pretend: Any) -> None:
     killed, whole = tmp_path / "killed", Sweep.open(config, tmp_path / "whole")
     finish(whole, pretend)
