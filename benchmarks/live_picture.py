@@ -1,4 +1,4 @@
-"""A picture of the live page during the first push, as a browser shows it.
+"""Saves a picture of the live page during the first push, as a browser shows it.
 
 Run: python -m benchmarks.live_picture docs/figures/live.webp (needs Chromium with its chromedriver)
 """

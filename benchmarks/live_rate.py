@@ -1,4 +1,4 @@
-"""How fast the live page goes: samples, pictures sent and pictures drawn per second, by number of browsers.
+"""Measures the live page: samples, pictures sent and pictures drawn per second, by number of browsers.
 
 Run: python -m benchmarks.live_rate --seconds 40 --picture page.png (needs Chromium with its chromedriver)
 """

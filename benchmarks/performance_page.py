@@ -1,6 +1,6 @@
 """Writes the measured tables of docs/performance.md from the results in docs/results.
 
-Run: python -m benchmarks.performance_page (with --check: ends with code 1 if the page is not what the results say)
+Run: python -m benchmarks.performance_page (with --check: ends with code 1 if the page differs from the results)
 
     shmoo bench mppi --peers-python peers/bin/python --json docs/results/bench_mppi.json
     shmoo bench demo --json docs/results/bench_demo.json
@@ -8,7 +8,7 @@ Run: python -m benchmarks.performance_page (with --check: ends with code 1 if th
     shmoo bench mppi --json docs/results/bench_mppi_gpu.json (on a machine with a GPU; also plant)
     python -m benchmarks.rollouts --json docs/results/rollouts.json --figure docs/figures/rollouts.png
 
-The control step's table is of the short form's result where there is none of the long form.
+The table of the control step uses the result of the short form if there is none of the long form.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The plant on the manoeuvres that ball-balancing robots are told by, and where it falls; C MuJoCo.
+"""Compares the simulated robot with published manoeuvres of ball-balancing robots, and finds the pushes that topple it.
+
+It uses the C engine of MuJoCo.
 
 Run: python -m benchmarks.plant_manoeuvres            table and figure of docs/plant.md
-     python -m benchmarks.plant_manoeuvres --worlds 10000   randomised worlds in the envelope; goes on where it stopped
+     python -m benchmarks.plant_manoeuvres --worlds 10000   randomised worlds; a stopped run continues
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settles and pushes many drawn objects, or many robots, and counts what goes wrong; goes on where it was stopped.
+"""Settles and pushes many random objects or robots, and counts failures. A stopped run continues where it was.
 
 Run: python -m benchmarks.plant_survey --count 10000 (about 25 minutes on one idle core)
      python -m benchmarks.plant_survey --robots 1000

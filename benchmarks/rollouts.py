@@ -1,11 +1,11 @@
-"""How well does it push for the time: roll-outs S, horizon T and kinds of noise, in closed loop and by the clock.
+"""Compares numbers of roll-outs S, horizons T and kinds of noise: accuracy of pushing, and time of a control step.
 
 Run: python -m benchmarks.rollouts --json docs/results/rollouts.json --figure docs/figures/rollouts.png
      python -m benchmarks.rollouts --parts times (the clock alone, on a quiet machine; also: trials, report)
 
-The same pushing trials for every variant, with its difference from S = 500, T = 30 and the shipped noise; then its
-control step on one core and on two. An hour on two cores; each variant leaves a file, so that it goes on where it was
-stopped, and what is not run anew is taken from the JSON where there is one.
+Every variant runs the same pushing trials and is compared with S = 500, T = 30 and the shipped noise. Then its control
+step is timed on one core and on two. All parts take an hour on two cores. A stopped run continues where it was, and
+parts that are not run are taken from the JSON file if it exists.
 """
 
 from __future__ import annotations

@@ -310,6 +310,8 @@ def _as_html(text: str, folder: Path) -> str:
 
 def main() -> None:
     """Write the pages from a folder of results."""
+    if len(sys.argv) != 3:
+        sys.exit("Usage: python -m shmoo_mjx.evaluation.page RESULTS_FOLDER PAGE.md")
     made_in, page = Path(sys.argv[1]), Path(sys.argv[2])
     write_page(read_results(made_in), made_in, page, page.parent / "figures")
 
