@@ -62,14 +62,15 @@ def control_step(result: ExperimentResult) -> str:
         more += [f"{count} problems in one call / {count} x one {value:.2f}"] if found_it else []
     steps = next(row["steps"] for row in result.rows if row["kind"] == "worst case")
     worst = f"{steps:,} steps: p99 {result.metrics['ours_p99_ms']:.1f} ms, worst {result.metrics['ours_max_ms']:.1f} ms"
-    sweeps = [_sweep(result, kind, label) for kind, label in SWEEPS.items()]
-    return f"{_machine(result)}\n\n{table}\n\n- {'; '.join([worst, *more])}.\n- {'; '.join(sweeps)}."
+    sweeps = [s for kind, label in SWEEPS.items() if (s := _sweep(result, kind, label))]
+    lines = ["; ".join(parts) for parts in ([worst, *more], sweeps) if parts]
+    return f"{_machine(result)}\n\n{table}\n\n" + "\n".join(f"- {line}." for line in lines)
 
 
 def _sweep(result: ExperimentResult, kind: str, label: str) -> str:
     rows = [row for row in result.rows if row["kind"] == f"sweep {kind}"]
     counts = ", ".join(f"{row[kind]:,}" for row in rows)
-    return f"{label} = {counts}: {', '.join(f'{row["median_ms"]:,.1f}' for row in rows)} ms"
+    return f"{label} = {counts}: {', '.join(f'{row["median_ms"]:,.1f}' for row in rows)} ms" if rows else ""
 
 
 def demo(result: ExperimentResult) -> str:

@@ -133,7 +133,7 @@ def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def run_of_log(
-    log: Log, half_extents: tuple[float, float], weights: Weights, *, foresight: Foresight
+    log: Log, half_extents: tuple[float, float], weights: Weights, *, foresight: Foresight | None = None
 ) -> tuple[dict[str, Any], Trace]:
     """The report's inputs for a recording: the content of `result.json` and the trace.
 
@@ -141,11 +141,12 @@ def run_of_log(
         log: the recording.
         half_extents: half length and half width of the object [m].
         weights: the models of R and psi.
-        foresight: roll-outs that tell whether the object can be moved, with the same weights.
+        foresight: roll-outs with the same weights, if they are compiled already. They tell whether it can be moved.
     """
     visible = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if visible[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
+    foresight = foresight or Foresight(weights, PushConfig())
     judged = [
         _verdict(log, push, estimated, half_extents=half_extents, foresight=foresight)
         for push, estimated in zip(pushes, after, strict=True)
@@ -380,9 +381,7 @@ def write_run(file: Path, size: tuple[float, float], out: Path, weights: Weights
     from shmoo_mjx.report.html import write_report
 
     check_folder(out, {"trace.npz": ARRAYS, "result.json": RECORDING, "report.html": HTML}, "trace.npz")
-    result, trace = run_of_log(
-        read_log(file), (size[0] / 2, size[1] / 2), weights, foresight=Foresight(weights, PushConfig())
-    )
+    result, trace = run_of_log(read_log(file), (size[0] / 2, size[1] / 2), weights)
     for warning in result["warnings"]:
         LOG.warning("shmoo: %s: %s", file, warning)
     command = f"uv run shmoo report {shlex.quote(file.name)} --size {size[0]:g} {size[1]:g}"
