@@ -48,7 +48,7 @@ class MppiSizes:
 
 FULL = MppiSizes()
 QUICK = MppiSizes(rounds=3, calls=10, gemm=2048, steps=200, sample_sweep=(), horizon_sweep=(), problem_sweep=())
-"""Sizes that take two minutes on two quiet cores, most of which is compilation. Without sweeps."""
+"""Sizes that take two minutes on two quiet cores, without sweeps."""
 GPU = MppiSizes(
     rounds=4, steps=2_000, sample_sweep=(500, 10_000, 100_000), horizon_sweep=(30,), problem_sweep=(1, 64, 512)
 )

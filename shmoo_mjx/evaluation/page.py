@@ -10,11 +10,11 @@ table of policies.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import gzip
 import html
 import re
-import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
@@ -310,10 +310,11 @@ def _as_html(text: str, folder: Path) -> str:
 
 def main() -> None:
     """Write the pages from a folder of results."""
-    if len(sys.argv) != 3:
-        sys.exit("Usage: python -m shmoo_mjx.evaluation.page RESULTS_FOLDER PAGE.md")
-    made_in, page = Path(sys.argv[1]), Path(sys.argv[2])
-    write_page(read_results(made_in), made_in, page, page.parent / "figures")
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("folder", type=Path, help="folder of results, such as runs/experiments")
+    parser.add_argument("page", type=Path, help="file of the page, such as docs/results.md")
+    given = parser.parse_args()
+    write_page(read_results(given.folder), given.folder, given.page, given.page.parent / "figures")
 
 
 if __name__ == "__main__":

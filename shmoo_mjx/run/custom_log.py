@@ -132,21 +132,12 @@ def _means(t: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
     return np.asarray(until(grid + DT) - until(grid)) / DT
 
 
-def run_of_log(
-    log: Log, half_extents: tuple[float, float], weights: Weights, *, foresight: Foresight | None = None
-) -> tuple[dict[str, Any], Trace]:
-    """The report's inputs for a recording: the content of `result.json` and the trace.
-
-    Args:
-        log: the recording.
-        half_extents: half length and half width of the object [m].
-        weights: the models of R and psi.
-        foresight: roll-outs with the same weights, if they are compiled already. They tell whether it can be moved.
-    """
+def run_of_log(log: Log, half_extents: tuple[float, float], weights: Weights) -> tuple[dict[str, Any], Trace]:
+    """The report's inputs for a recording: the content of `result.json` and the trace."""
     visible = np.isfinite(log.object_pose).all(axis=1)
     pushes = [p for p in _pushes(log) if visible[p].any()]
     learned, names, prior, errors, after = _learned(log, half_extents, weights, pushes)
-    foresight = foresight or Foresight(weights, PushConfig())
+    foresight = Foresight(weights, PushConfig())
     judged = [
         _verdict(log, push, estimated, half_extents=half_extents, foresight=foresight)
         for push, estimated in zip(pushes, after, strict=True)

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks import registry, startup
+from benchmarks import mppi, registry, startup
+from benchmarks.performance_page import control_step
 from benchmarks.registry import BENCHMARKS, BenchOptions, describe, run_all, run_benchmark
-from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, weights_id
+from shmoo_mjx.evaluation.result import ExperimentOptions, make_result, read_result, weights_id
 
 
 def test_every_name_leads_to_a_module_that_runs() -> None:
@@ -122,3 +123,11 @@ def test_the_plant_is_timed_on_both_engines(monkeypatch: pytest.MonkeyPatch) -> 
     over = result.metrics[f"{batch}_standing_steps_per_s"] / single
     assert result.metrics[f"{batch}_standing_over_c_1_thread"] == pytest.approx(over, abs=0.01)
     assert result.metrics["robot_c_1_threads_physics_alone_steps_per_s"] > single
+
+
+def test_the_page_takes_a_control_step_without_sweeps() -> None:
+    whole = read_result(Path(__file__).resolve().parents[2] / "docs" / "results" / "bench_mppi.json")
+    bare = whole.model_copy(update={"rows": [row for row in whole.rows if not row["kind"].startswith("sweep")]})
+    lines, fewer = (control_step(result).splitlines() for result in (whole, bare))
+    assert lines[:-1] == fewer and lines[-1].startswith("- S = 100")
+    assert mppi._batch_metrics(bare.rows) == {}

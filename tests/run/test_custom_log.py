@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from subprocess import CompletedProcess
 from typing import Any
@@ -24,12 +24,12 @@ from shmoo_mjx.plant.objects import draw_condition
 from shmoo_mjx.plant.scene import build_scene
 from shmoo_mjx.plant.trials import command
 from shmoo_mjx.report.trace import Trace
+from shmoo_mjx.run import custom_log
 from shmoo_mjx.run.custom_log import OPTIONAL, REQUIRED, Log, read_log, run_of_log
 
 LogRun = tuple[Log, dict[str, Any], Trace]
 ROOT = Path(__file__).resolve().parents[2]
 STEP = 0.05
-WEIGHTS = load_weights()
 
 
 def recorded(mass: float, friction: float, noise: float = 0.002) -> dict[str, np.ndarray]:
@@ -61,22 +61,25 @@ def written(columns: dict[str, np.ndarray], file: Path) -> Path:
     return file
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once() -> Iterator[None]:
+    """All logs share the compiled roll-outs of the shipped weights."""
+    shared = Foresight(load_weights(), PushConfig())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(custom_log, "Foresight", lambda weights, config: shared)
+        yield
+
+
 @pytest.fixture(scope="module")
 def light() -> dict[str, np.ndarray]:
     return recorded(8.0, 0.4)
 
 
 @pytest.fixture(scope="module")
-def foresight() -> Foresight:
-    """Compiled once for all logs."""
-    return Foresight(WEIGHTS, PushConfig())
-
-
-@pytest.fixture(scope="module")
-def light_run(light: dict[str, np.ndarray], foresight: Foresight, tmp_path_factory: pytest.TempPathFactory) -> LogRun:
+def light_run(light: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> LogRun:
     """The log, its result and its trace."""
     log = read_log(written(light, tmp_path_factory.mktemp("light") / "log.csv"))
-    return log, *run_of_log(log, (0.25, 0.2), WEIGHTS, foresight=foresight)
+    return log, *run_of_log(log, (0.25, 0.2), load_weights())
 
 
 def test_a_light_box_is_known_and_judged(light: dict[str, np.ndarray], light_run: LogRun) -> None:
@@ -93,18 +96,18 @@ def test_a_light_box_is_known_and_judged(light: dict[str, np.ndarray], light_run
 
 @pytest.mark.slow
 def test_what_a_sample_teaches_is_not_known_before(
-    light: dict[str, np.ndarray], light_run: LogRun, foresight: Foresight, tmp_path: Path
+    light: dict[str, np.ndarray], light_run: LogRun, tmp_path: Path
 ) -> None:
     short = {name: values[:60] for name, values in light.items()}
-    half = run_of_log(read_log(written(short, tmp_path / "log.csv")), (0.25, 0.2), WEIGHTS, foresight=foresight)[1]
+    half = run_of_log(read_log(written(short, tmp_path / "log.csv")), (0.25, 0.2), load_weights())[1]
     whole = light_run[2]
     count = len(half.t) - 4
     np.testing.assert_allclose(half.learned[:count], whole.learned[:count], rtol=1e-4)
 
 
-def test_a_heavy_one_can_t_be_moved(foresight: Foresight, tmp_path: Path) -> None:
+def test_a_heavy_one_can_t_be_moved(tmp_path: Path) -> None:
     log = read_log(written(recorded(60.0, 0.6), tmp_path / "log.parquet"))
-    result, _ = run_of_log(log, (0.25, 0.2), WEIGHTS, foresight=foresight)
+    result, _ = run_of_log(log, (0.25, 0.2), load_weights())
     assert [d["manipulable"] for d in result["decisions"]] == [False] * len(result["decisions"]) != []
     assert result["objects"][0]["registered"] and "too little to tell its mass" in result["summary"]
 
@@ -234,12 +237,10 @@ def test_a_bad_table_is_refused(light: dict[str, np.ndarray], tmp_path: Path) ->
         read_log(tmp_path / "log.parquet")
 
 
-def test_a_log_in_which_the_object_is_rarely_known_has_a_result(
-    light: dict[str, np.ndarray], foresight: Foresight, tmp_path: Path
-) -> None:
+def test_a_log_in_which_the_object_is_rarely_known_has_a_result(light: dict[str, np.ndarray], tmp_path: Path) -> None:
     known = (np.arange(160) > 13) & (np.arange(160) < 20)
     file = written(light | {"object_x": np.where(known, light["object_x"], np.nan)}, tmp_path / "log.csv")
-    result, _ = run_of_log(read_log(file), (0.25, 0.2), WEIGHTS, foresight=foresight)
+    result, _ = run_of_log(read_log(file), (0.25, 0.2), load_weights())
     assert "nan" not in json.dumps(result).lower()
 
 
@@ -258,11 +259,9 @@ def turned(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     ],
 )
 def test_doubtful_results_warn(
-    light: dict[str, np.ndarray], foresight: Foresight, tmp_path: Path, change: Change, says: tuple[str, ...]
+    light: dict[str, np.ndarray], tmp_path: Path, change: Change, says: tuple[str, ...]
 ) -> None:
-    result, _ = run_of_log(
-        read_log(written(change(light), tmp_path / "log.csv")), (0.25, 0.2), WEIGHTS, foresight=foresight
-    )
+    result, _ = run_of_log(read_log(written(change(light), tmp_path / "log.csv")), (0.25, 0.2), load_weights())
     text = " ".join(result["warnings"])
     assert bool(text) == bool(says) and text in result["summary"]
     assert all(part in text for part in says), text
