@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import mujoco
@@ -23,6 +24,9 @@ _TILT = float(np.deg2rad(15.0))
 """Downward tilt of the drawn view [rad]. The simulated camera has no limit of its vertical field of view."""
 _FIELD = float(np.deg2rad(42.0))
 """Vertical field of view of the robot's camera [rad], that of the D435's colour image."""
+
+# A browser may be closed between the listing of browsers and the move of its camera, which does no harm.
+warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
 
 
 class _Pose(NamedTuple):
