@@ -27,11 +27,14 @@ import trimesh
 pytest.importorskip("viser")
 pytest.importorskip("mjviser")
 
+from viser._messages import SetCameraPositionMessage
+from viser.infra._async_message_buffer import AsyncMessageBuffer
+
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.behavior.state import Decision, Option
 from shmoo_mjx.learning.weights import load_weights
 from shmoo_mjx.live import overlay
-from shmoo_mjx.live.cameras import FOLLOW
+from shmoo_mjx.live.cameras import FOLLOW, Cameras
 from shmoo_mjx.live.command import go_on
 from shmoo_mjx.live.page import Page
 from shmoo_mjx.live.pictures import RATE
@@ -55,6 +58,25 @@ def page(tmp_path: Path) -> Iterator[Page]:
     yield made
     made.close()
     session.close()
+
+
+class Gone:
+    """A browser whose connection has closed since it was listed, as viser sees it."""
+
+    def __init__(self) -> None:
+        self.camera, self.moved = self, False
+        self.look_at, self.aspect, self._position = np.zeros(3), 1.5, np.ones(3)
+        loop: Any = SimpleNamespace(call_soon_threadsafe=lambda call: None)
+        self._messages = AsyncMessageBuffer(loop, persistent_messages=False, done=True)
+
+    @property
+    def position(self) -> np.ndarray:
+        return self._position
+
+    @position.setter
+    def position(self, value: np.ndarray) -> None:
+        self._messages.push(SetCameraPositionMessage((float(value[0]), float(value[1]), float(value[2]))))
+        self._position, self.moved = value, True
 
 
 def said(page: Page) -> str:
@@ -456,6 +478,13 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         runner.join(timeout=30.0)
         page.close()
         session.close()
+
+
+def test_a_browser_that_goes_while_its_camera_is_moved_is_no_error() -> None:
+    gone = Gone()
+    cameras = Cameras(SimpleNamespace(get_clients=lambda: {7: gone}))  # type: ignore[arg-type]
+    cameras.move(FOLLOW, SimpleNamespace(body=lambda name: SimpleNamespace(xpos=np.zeros(3))))  # type: ignore[arg-type]
+    assert gone.moved
 
 
 @pytest.mark.slow
