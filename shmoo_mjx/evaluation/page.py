@@ -313,8 +313,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("folder", type=Path, help="folder of results, such as runs/experiments")
     parser.add_argument("page", type=Path, help="file of the page, such as docs/results.md")
-    given = parser.parse_args()
-    write_page(read_results(given.folder), given.folder, given.page, given.page.parent / "figures")
+    paths = parser.parse_args()
+    write_page(read_results(paths.folder), paths.folder, paths.page, paths.page.parent / "figures")
 
 
 if __name__ == "__main__":

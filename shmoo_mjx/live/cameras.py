@@ -25,7 +25,8 @@ _TILT = float(np.deg2rad(15.0))
 _FIELD = float(np.deg2rad(42.0))
 """Vertical field of view of the robot's camera [rad], that of the D435's colour image."""
 
-# A browser may be closed between the listing of browsers and the move of its camera, which does no harm.
+# viser warns of messages to a closed browser. One may close between the listing of browsers and the move of its camera,
+# which does no harm.
 warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -33,7 +35,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from shmoo_mjx.base.assets import asset
 from shmoo_mjx.behavior.state import Decision, Option
 from shmoo_mjx.learning.weights import load_weights
-from shmoo_mjx.live import overlay
+from shmoo_mjx.live import cameras, overlay
 from shmoo_mjx.live.cameras import FOLLOW, Cameras
 from shmoo_mjx.live.command import go_on
 from shmoo_mjx.live.page import Page
@@ -480,10 +482,15 @@ def test_in_a_browser_goal_and_object_are_set_and_the_robot_arrives(tmp_path: Pa
         session.close()
 
 
-def test_a_browser_that_goes_while_its_camera_is_moved_is_no_error() -> None:
+@pytest.mark.parametrize("filters", ["of the tests", "of the module"])
+def test_a_browser_that_goes_while_its_camera_is_moved_is_no_error(filters: str) -> None:
     gone = Gone()
-    cameras = Cameras(SimpleNamespace(get_clients=lambda: {7: gone}))  # type: ignore[arg-type]
-    cameras.move(FOLLOW, SimpleNamespace(body=lambda name: SimpleNamespace(xpos=np.zeros(3))))  # type: ignore[arg-type]
+    page_cameras = Cameras(SimpleNamespace(get_clients=lambda: {7: gone}))  # type: ignore[arg-type]
+    with warnings.catch_warnings():
+        if filters == "of the module":
+            warnings.simplefilter("error")
+            importlib.reload(cameras)
+        page_cameras.move(FOLLOW, SimpleNamespace(body=lambda name: SimpleNamespace(xpos=np.zeros(3))))  # type: ignore[arg-type]
     assert gone.moved
 
 
