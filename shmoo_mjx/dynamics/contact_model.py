@@ -7,7 +7,8 @@ such a model to data compensates with a mass that is about a hundred times too l
 
 A push at the height of the hands increases the load on the far points and decreases it on the near ones, which turns
 the object. Each point has separate friction coefficients along x and y of {O}: a wheel rolls along x and grips along
-y, a locked wheel grips along both, and a free caster along neither.
+y, a locked wheel grips along both, and a caster along neither. A caster rolls in the direction in which its point
+moves, and resists a change of this direction up to the force that turns its swivel.
 """
 
 from __future__ import annotations
@@ -37,12 +38,14 @@ GUESS: dict[str, float] = {
     "feet_x": 0.0,
     "feet_y": 0.0,
     **{f"log_friction_{axis}_{point}": -2.0 for axis in "xy" for point in POINTS},
+    **{f"log_swivel_{point}": -5.0 for point in POINTS},
 }
 """Parameters of the model with their default values for an unknown object.
 
 ``log_mass`` is the logarithm of the mass in kg; it includes the rotary inertia of wheels that turn with the object.
-``log_friction_*`` is the logarithm of the friction coefficient of a point along x or y of {O}. All others are lengths
-divided by half the diagonal of the footprint: ``log_gyration`` (radius of gyration), ``centre_*`` (centre of mass),
+``log_friction_*`` is the logarithm of the friction coefficient of a point along x or y of {O}, ``log_swivel_*`` that of
+the force that changes the direction of a point's motion, divided by the point's load. All others are lengths divided by
+half the diagonal of the footprint: ``log_gyration`` (radius of gyration), ``centre_*`` (centre of mass),
 ``log_foot_*`` (half distances of the points) and ``feet_*`` (midpoint of the points)."""
 
 PARAMETERS = tuple(GUESS)
@@ -52,45 +55,46 @@ GRAVITY = 9.81
 GAUSS_SEIDEL_ITERATIONS = 5
 """Projected Gauss-Seidel iterations over the four points, whose impulses depend on each other. More is more accurate
 and slower."""
+_DIRECTED = 0.01
+"""Speed of a point from which on its motion has a direction that a caster keeps [m/s]."""
 
 
-def guess() -> Float[Array, "16"]:
+def guess() -> Float[Array, "20"]:
     """The values of GUESS as an array."""
     return jnp.array(list(GUESS.values()))
 
 
-def with_friction(parameters: Float[Array, "*many 16"], shift: float) -> Float[Array, "*many 16"]:
+def with_friction(parameters: Float[Array, "*many 20"], shift: float) -> Float[Array, "*many 20"]:
     """The parameters with ``shift`` added to every log friction coefficient."""
     return parameters + shift * np.array([name.startswith("log_friction") for name in PARAMETERS], np.float32)
 
 
-def resistance(parameters: Float[Array, "... 16"]) -> Float[Array, "... 2"]:
+def loads(parameters: Float[Array, "... 20"]) -> Float[Array, "... 4"]:
+    """Loads of the points of an object that is not pushed [N], in the order of POINTS."""
+    xp = se2.array_module(parameters)
+    named = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
+    load_x, load_y = (
+        xp.clip((named[f"centre_{axis}"] - named[f"feet_{axis}"]) / xp.exp(named[f"log_foot_{axis}"]), -0.98, 0.98)
+        for axis in "xy"
+    )
+    even = GRAVITY * xp.exp(named["log_mass"]) / 4
+    return xp.stack([even * (1 + front * load_x) * (1 + left * load_y) for front, left in POINTS.values()], axis=-1)
+
+
+def resistance(parameters: Float[Array, "... 20"]) -> Float[Array, "... 2"]:
     """Friction force against straight motion along x and y of {O} [N].
 
     It is the sum over the points of load times friction coefficient. A slow push identifies this product of mass and
     friction, but not the two factors.
     """
     xp = se2.array_module(parameters)
-    named = {name: parameters[..., i] for i, name in enumerate(PARAMETERS)}
-    weight = GRAVITY * xp.exp(named["log_mass"])
-    load_x, load_y = (
-        xp.clip((named[f"centre_{axis}"] - named[f"feet_{axis}"]) / xp.exp(named[f"log_foot_{axis}"]), -0.98, 0.98)
-        for axis in "xy"
-    )
-    return xp.stack(
-        [
-            sum(
-                weight / 4 * (1 + front * load_x) * (1 + left * load_y) * xp.exp(named[f"log_friction_{axis}_{point}"])
-                for point, (front, left) in POINTS.items()
-            )
-            for axis in "xy"
-        ],
-        axis=-1,
-    )
+    columns = [[PARAMETERS.index(f"log_friction_{axis}_{point}") for point in POINTS] for axis in "xy"]
+    load = loads(parameters)
+    return xp.stack([xp.sum(load * xp.exp(parameters[..., np.array(one)]), axis=-1) for one in columns], axis=-1)
 
 
 def acceleration(
-    parameters: Float[Array, "16 ..."], inputs: Float[Array, "n ..."], shifts: tuple[float, ...] | None = None
+    parameters: Float[Array, "20 ..."], inputs: Float[Array, "n ..."], shifts: tuple[float, ...] | None = None
 ) -> Float[Array, "3 ..."] | Float[Array, "K 3 ..."]:
     """Mean acceleration of the object over one sample, in {O}, channels first.
 
@@ -125,7 +129,13 @@ def acceleration(
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
         friction_x, friction_y = (jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        points.append((lx, ly, inverse_inertia * lx, inverse_inertia * ly, stiffness, weight, (friction_x, friction_y)))
+        ahead_x, ahead_y = vx - spin * (y + ly), vy + spin * (x + lx)
+        per_speed = jax.lax.rsqrt(ahead_x**2 + ahead_y**2 + _DIRECTED**2)
+        # Unit vector across the point's motion; shorter where the point is almost at rest.
+        across = -ahead_y * per_speed, ahead_x * per_speed
+        hold = weight * jnp.exp(named[f"log_swivel_{name}"])
+        turns = (inverse_inertia * lx, inverse_inertia * ly)
+        points.append((lx, ly, turns, stiffness, weight, (friction_x, friction_y), across, hold))
     # Twist of the centre of mass after the push alone, before the friction impulses of the points.
     pushed = (
         vx - spin * y + DT * inverse_mass * fx,
@@ -134,21 +144,27 @@ def acceleration(
     )
 
     def iterate(carry: tuple[Any, Any], _: None) -> tuple[tuple[Any, Any], None]:
-        """One Gauss-Seidel sweep: each point gets the impulse that would stop it, clipped to its friction limit."""
+        """One Gauss-Seidel sweep: each point gets the impulses that would stop it, clipped to their limits."""
         (ux, uy, turn), impulses = carry
         held = []
-        for (lx, ly, turn_x, turn_y, stiffness, weight, friction), (old_x, old_y) in zip(points, impulses, strict=True):
-            new_x, new_y = old_x - stiffness * (ux - turn * ly), old_y - stiffness * (uy + turn * lx)
-            new_x, new_y = _within_grip(new_x, new_y, weight, friction)
-            dx, dy = new_x - old_x, new_y - old_y
+        for point, (old_x, old_y, old_hold) in zip(points, impulses, strict=True):
+            lx, ly, (turn_x, turn_y), stiffness, weight, friction, (nx, ny), most = point
+            slip_x, slip_y = ux - turn * ly, uy + turn * lx
+            new_hold = jnp.clip(old_hold - stiffness * (nx * slip_x + ny * slip_y), -most, most)
+            change = new_hold - old_hold
+            # The floor's grip stops what the swivel has left of the slip.
+            grip_x = old_x - stiffness * slip_x - nx * change
+            grip_y = old_y - stiffness * slip_y - ny * change
+            new_x, new_y = _within_grip(grip_x, grip_y, weight, friction)
+            dx, dy = new_x - old_x + nx * change, new_y - old_y + ny * change
             ux, uy = ux + inverse_mass * dx, uy + inverse_mass * dy
             turn = turn + turn_x * dy - turn_y * dx
-            held.append((new_x, new_y))
+            held.append((new_x, new_y, new_hold))
         return ((ux, uy, turn), tuple(held)), None
 
     twist = tuple(jnp.broadcast_arrays(*pushed, shifted)[:3])
     none = jnp.zeros_like(twist[0])
-    start = (twist, ((none, none),) * len(POINTS))
+    start = (twist, ((none, none, none),) * len(POINTS))
     ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin], axis=int(shifts is not None)) / DT
 

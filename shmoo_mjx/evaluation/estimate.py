@@ -147,14 +147,13 @@ def _roll_outs(
 ) -> Array:
     """Positions ``[_DRAWS, 2]`` of the object in {W} after the sensed ``wrenches [1 + T, 3]``. The first wrench is that
     of the previous sample."""
-    key, noise_key = jax.random.split(jax.random.key(0))
-    chosen = jax.random.categorical(key, state.log_weight, shape=(_DRAWS,))
+    chosen = jax.random.categorical(jax.random.key(0), state.log_weight, shape=(_DRAWS,))
     contact, force, pose, twist = (a[chosen] for a in (state.parameters, state.force, state.pose, state.twist))
     accelerations = jax.vmap(partial(object_model.predict, params.object, params.coefficients, config=shape))
 
     def sample(carry: Any, sensed: Any) -> tuple[Any, None]:
         pose, twist, last_twist, last_wrench = carry
-        wrench = se2.rotate(estimate.true_wrench(config, force, *sensed), -pose[:, 2])
+        wrench = se2.rotate(estimate.true_wrench(config, force, sensed), -pose[:, 2])
         inside = se2.rotate(twist, -pose[:, 2])
         inputs = features.object_inputs(inside, wrench, last_twist=last_twist, size=size, last_wrench=last_wrench)
         acceleration = se2.rotate(accelerations(inputs=inputs, contact=contact), pose[:, 2])
@@ -163,7 +162,7 @@ def _roll_outs(
 
     before = se2.rotate(jnp.broadcast_to(wrenches[0], pose.shape), -pose[:, 2])
     start = (pose, twist, se2.rotate(twist, -pose[:, 2]), before)
-    return jax.lax.scan(sample, start, (wrenches[1:], jax.random.split(noise_key, _AHEAD)))[0][0][:, :2]
+    return jax.lax.scan(sample, start, wrenches[1:])[0][0][:, :2]
 
 
 def _recorded(

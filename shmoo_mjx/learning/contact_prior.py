@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Float
-from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS, resistance
+from shmoo_mjx.dynamics.contact_model import PARAMETERS, POINTS, loads, resistance
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.plant.condition import Condition, is_custom
@@ -17,6 +17,12 @@ FIRST_SEED = 50_000
 
 COUNT = 1026
 """Number of objects in the prior: equally many of each family, half of them mirror images."""
+
+_SCRUB = 0.0005
+"""Torque with which the floor resists the turning of a caster, divided by the caster's load [m]. It is fitted to pushes
+of carts, and lower than the simulator's torsional friction, which acts on a wheel that does not roll."""
+_NO_SWIVEL = 1e-4
+"""Swivel coefficient of a point that is no caster [1]."""
 
 
 def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
@@ -34,7 +40,7 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
     turned = data.ximat.reshape(-1, 3, 3)
     own = np.einsum("bi,bi->b", turned[:, 2] ** 2, model.body_inertia)
     inertia = np.sum(own + model.body_mass * np.sum((data.xipos - centre)[:, :2] ** 2, axis=1))
-    corners, friction, rolling_mass = _points(condition, model, data)
+    corners, friction, trails, rolling_mass = _points(condition, model, data)
     half = (corners.max(axis=0) - corners.min(axis=0)) / 2
     middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
     values = {
@@ -47,8 +53,11 @@ def parameters_of(condition: Condition) -> Float[np.ndarray, "p"]:
         "feet_x": middle[0] / size,
         "feet_y": middle[1] / size,
     }
-    for point, both in zip(POINTS, friction, strict=True):
+    weight = loads(np.array([values.get(name, 0.0) for name in PARAMETERS]))
+    for point, both, trail, load in zip(POINTS, friction, trails, weight, strict=True):
         values |= {f"log_friction_{axis}_{point}": np.log(mu) for axis, mu in zip("xy", both, strict=True)}
+        swivel = (condition.swivel_friction / load + _SCRUB) / trail if trail else _NO_SWIVEL
+        values[f"log_swivel_{point}"] = np.log(min(swivel, condition.friction))
     return np.array([values[name] for name in PARAMETERS])
 
 
@@ -107,24 +116,31 @@ def mirrored(parameters: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p
     return signs * parameters[..., [PARAMETERS.index(name) for name in names]]
 
 
-def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, float]:
+def _points(
+    condition: Condition, model: mujoco.MjModel, data: mujoco.MjData
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Contact points of an object on the floor.
 
     Returns:
-        Positions ``[4, 2]`` in the order of POINTS [m], friction coefficients along x and y at them ``[4, 2]``, and
-        the mass equivalent of the wheels' rotary inertia [kg].
+        Positions ``[4, 2]`` in the order of POINTS [m], friction coefficients along x and y at them ``[4, 2]``, the
+        trails of the casters among them, otherwise 0 ``[4]`` [m], and the mass equivalent of the wheels' rotary inertia
+        [kg].
     """
     if not condition.rolling:
         soles = [i for i in range(model.ngeom) if model.geom(i).name.endswith("sole")]
         centres, halves = data.geom_xpos[soles, :2], model.geom_aabb[soles, 3:5]
         low, high = (centres - halves).min(axis=0), (centres + halves).max(axis=0)
         corners = (low + high) / 2 + np.array(list(POINTS.values())) * (high - low) / 2
-        return corners, np.full((4, 2), condition.friction), 0.0
+        return corners, np.full((4, 2), condition.friction), np.zeros(4), 0.0
     names = [f"wheel{k}" for k in range(len(condition.rolling))]
     places = np.array([data.geom(name).xpos[:2] for name in names])
     swivels = np.array([_has(model, f"{name}_swivel") for name in names])
     # The contact point of a caster is under its swivel on average, whatever its current direction.
-    places[swivels] = [data.joint(f"{name}_swivel").xanchor[:2] for name, on in zip(names, swivels, strict=True) if on]
+    anchors = [data.joint(f"{name}_swivel").xanchor[:2] for name, on in zip(names, swivels, strict=True) if on]
+    trails = np.zeros(len(names))
+    if anchors:
+        trails[swivels] = np.linalg.norm(places[swivels] - anchors, axis=1)
+        places[swivels] = anchors
     locked, rolling = np.array(condition.locked), np.array(condition.rolling)
     along = np.where(locked, condition.friction, rolling)
     across = np.where(swivels, along, condition.friction)
@@ -133,7 +149,7 @@ def _points(condition: Condition, model: mujoco.MjModel, data: mujoco.MjData) ->
     turning = sum(model.body_inertia[b].max() / r**2 for b, r in zip(bodies, radii, strict=True))
     middle = places.mean(axis=0)
     order = [int(np.argmax((places - middle) @ np.array(sign))) for sign in POINTS.values()]
-    return places[order], np.stack([along, across], axis=1)[order], float(turning)
+    return places[order], np.stack([along, across], axis=1)[order], trails[order], float(turning)
 
 
 def _has(model: mujoco.MjModel, joint: str) -> bool:

@@ -44,21 +44,15 @@ class EstimateConfig:
     discount: float = 0.2
     """Fraction of a sample's log-likelihood that counts [1]. Errors of the model and of the force persist for about
     five samples, so five samples carry the information of one. Larger makes the posterior narrow faster."""
-    observer: tuple[float, float] = (0.5, 1.5)
+    observer: tuple[float, float] = (0.3, 0.8)
     """Observer gains on the innovation, for the pose [1] and for the twist [1/s] of a particle. Larger follows the
     measurements more closely."""
     force_error: tuple[float, float] = (0.12, 1.5)
     """Standard deviations of two errors of the sensed force: of the logarithm of sensed over true force [1], due to
     motor constants, and of a constant offset [N], due to the weight of the arms."""
-    force_bias: float = 1.2
-    """Value added to the sensed force [N]. Sensed forces are some newtons too low if the arm motors are calibrated
-    while the robot sways (`sensing.touch`). Larger makes objects appear to resist more."""
     lag: float = 0.05
     """Delay of a tracked pose beyond its age, due to the tracker's filter [s]. A value that is too small makes light
     objects appear heavy."""
-    force_noise: float = 2.5
-    """Standard deviation of the sensed force from sample to sample [N], due to swinging arms. Larger makes the force of
-    one sample count less."""
     redrawn: float = 0.1
     """Fraction of the particles that resampling draws from the prior [1]. Larger follows changes of the object faster
     and widens the posterior."""
@@ -150,12 +144,12 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
     pose_then, twist_then, age, detected, wrench, size = (
         jnp.where(use, value, jnp.ones_like(value)) for value in map(jnp.asarray, sighting)
     )
-    key, noise_key, resample_key = jax.random.split(state.key, 3)
+    key, resample_key = jax.random.split(state.key)
     pose = jnp.where(state.located, state.pose, pose_then)
     twist = jnp.where(state.located, state.twist, twist_then)
 
     inside = se2.rotate(twist, -pose[:, 2])
-    felt = se2.rotate(true_wrench(config, state.force, wrench, noise_key), -pose[:, 2])
+    felt = se2.rotate(true_wrench(config, state.force, wrench), -pose[:, 2])
     acceleration = se2.rotate(_acceleration(state.parameters, inside, felt, size), pose[:, 2])
     new_twist = twist + acceleration * DT
     new_pose = pose + 0.5 * (twist + new_twist) * DT
@@ -285,21 +279,17 @@ def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -
     return contact_model.acceleration(parameters.T, inputs).T
 
 
-def true_wrench(
-    config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"], key: Key[Array, ""]
-) -> Float[Array, "N 3"]:
+def true_wrench(config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"]) -> Float[Array, "N 3"]:
     """The true wrench according to each particle: the sensed ``wrench``, rescaled for the particle's force errors.
 
     Args:
         config: settings; static.
         force: force errors of the particles, as in ObjectEstimate.
         wrench: sensed wrench [N, N m].
-        key: random key of the noise from sample to sample.
     """
     scale, offset = config.force_error
-    size = jnp.hypot(wrench[0], wrench[1])
-    noise = offset * force[:, 1] - config.force_bias + config.force_noise * jax.random.normal(key, force.shape[:1])
-    share = jnp.exp(-scale * force[:, 0]) - noise / jnp.maximum(size, config.force_noise)
+    size = jnp.maximum(jnp.hypot(wrench[0], wrench[1]), 2.0)
+    share = jnp.exp(-scale * force[:, 0]) - offset * force[:, 1] / size
     return wrench * (touches(wrench) * jnp.maximum(share, 0.0))[:, None]
 
 

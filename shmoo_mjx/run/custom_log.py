@@ -190,7 +190,7 @@ def _learned(
     """
     params, shape, yaw = weights.params, weights.config.object, log.object_pose[:, 2]
     # Poses of a log have no age. Its forces come from a sensor, not from motors that also hold the arms.
-    config = EstimateConfig(lag=0.0, force_bias=0.0, force_error=(0.05, 0.5), force_noise=0.5)
+    config = EstimateConfig(lag=0.0, force_error=(0.05, 0.5))
     learner = online.learner(shape, config)
     twist, wrench = se2.rotate(log.object_twist, -yaw), se2.rotate(log.wrench, -yaw)
     before = np.concatenate([np.zeros((1, 3)), twist[:-1]]), np.concatenate([np.zeros((1, 3)), wrench[:-1]])

@@ -76,6 +76,41 @@ def test_a_locked_wheel_turns_it_to_its_side() -> None:
     assert acceleration(locked, inputs(wrench=(60.0, 0.0, 0.0)))[2] > 0.5
 
 
+def test_a_caster_keeps_its_direction_until_its_swivel_turns() -> None:
+    swivels = {f"log_swivel_{point}": np.log(0.05) for point in contact_model.POINTS}
+    cart = contact(log_mass=np.log(20.0), friction=(0.01, 0.01), **swivels)
+    limit = 0.05 * 20.0 * contact_model.GRAVITY
+    for ahead, across in (((0.2, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0.0, 0.2, 0.0), (1.0, 0.0, 0.0))):
+        below, beyond = (
+            acceleration(cart, inputs(ahead, factor * limit * np.array(across))) @ np.array(across)
+            for factor in (0.5, 2)
+        )
+        assert abs(below) < 0.03
+        assert 0.35 * limit / 20.0 < beyond < limit / 20.0
+        # Along its way only the rolling resistance counts.
+        along = acceleration(cart, inputs(ahead, limit * np.array(ahead) / 0.2)) @ np.array(ahead) / 0.2
+        assert along == pytest.approx((0.05 - 0.01) * contact_model.GRAVITY, rel=0.05)
+
+
+def test_casters_let_it_turn_on() -> None:
+    """Held in the axes of {O}, they would stop the turn."""
+    swivels = {f"log_swivel_{point}": np.log(0.05) for point in contact_model.POINTS}
+    cart = contact(log_mass=np.log(20.0), friction=(1e-4, 1e-4), **swivels)
+    assert abs(acceleration(cart, inputs((0.2, 0.0, 0.2)))[2]) < 0.1
+
+
+@pytest.mark.parametrize("family", ["cart", "wheelchair"])
+def test_the_swivels_of_an_object_hold_by_their_friction_and_trail(family: str) -> None:
+    free = [False] * 4
+    light, stiff = (draw_condition(family, 3, {"swivel_friction": value, "locked": free}) for value in (0.02, 0.3))
+    swivel = [i for i, name in enumerate(contact_model.PARAMETERS) if name.startswith("log_swivel")]
+    forces = [np.exp(p[swivel]) * contact_model.loads(p) for p in map(contact_prior.parameters_of, (light, stiff))]
+    trail = {"cart": 0.04, "wheelchair": 0.05}[family]
+    casters = 4 if family == "cart" else 2
+    np.testing.assert_allclose((forces[1] - forces[0])[:casters], 0.28 / trail, rtol=0.02)
+    assert (forces[1][casters:] < 0.1).all()
+
+
 def test_resistance_is_what_a_straight_push_meets() -> None:
     """The load that stands off the middle weighs on the points near it."""
     rear = {f"log_friction_y_rear_{side}": float(np.log(0.6)) for side in ("left", "right")}

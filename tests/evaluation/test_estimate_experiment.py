@@ -14,7 +14,7 @@ from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate
 from shmoo_mjx.learning.weights import Weights, load_weights
 from shmoo_mjx.plant.objects import draw_condition
 
-EXACT = EstimateConfig(particles=64, force_error=(0.0, 0.0), force_bias=0.0, force_noise=1e-6)
+EXACT = EstimateConfig(particles=64, force_error=(0.0, 0.0))
 """The sensed force is the true one."""
 BOX = draw_condition("box", 3, {"mass": 6.0, "payload": 0.0, "payload_x": 0.0, "payload_y": 0.0, "friction": 0.4})
 PUSH = np.tile([30.0, 0.0, 0.0], (31, 1)).astype(np.float32)

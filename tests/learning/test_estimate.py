@@ -17,7 +17,7 @@ from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.plant.objects import FAMILIES, draw_condition
 from shmoo_mjx.types import DT
 
-CONFIG = EstimateConfig(particles=512, lag=0.0, force_bias=0.0)
+CONFIG = EstimateConfig(particles=512, lag=0.0)
 PRIOR = contact_prior.draws(192)
 SIZE = 0.42
 MASS = contact_model.PARAMETERS.index("log_mass")
