@@ -1,8 +1,9 @@
 """Experiment `estimate`: accuracy and coverage of the posterior over an object's dynamics, on unseen objects.
 
-Scripted operators push objects as drawn, including heavy ones and locked wheels, with the robot's own sensors. After
-some seconds of contact, the posterior's median is compared with the ground truth (`contact_prior`), and the coverage of
-its 80 % band is counted. Roll-outs of posterior samples with psi are compared with the motion in the following 3 s.
+The robot pushes objects as drawn to a pose, including heavy ones and locked wheels. After some seconds of contact, the
+posterior's median is compared with the ground truth (`contact_prior`), and the coverage of its 80 % band is counted. An
+object that the robot gives up earlier is left out of the later times. Roll-outs of posterior samples with psi are
+compared with the motion in the following 3 s.
 """
 
 from __future__ import annotations
@@ -17,31 +18,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from shmoo_mjx.arrays import Array, Scalar
-from shmoo_mjx.data.collect import drive, operators
+from shmoo_mjx.behavior.state import Mode
+from shmoo_mjx.control.presets import pose_push_config
+from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.dynamics import contact_model, features, object_model
 from shmoo_mjx.evaluation.experiment import Experiment, ExperimentConfig, Setup
+from shmoo_mjx.evaluation.pushing_trials import EVERYTHING, GOALS, Trial, draw_trials, scene_of_trial, task_of
 from shmoo_mjx.evaluation.result import ExperimentResult
 from shmoo_mjx.evaluation.tables import Section, Table, lines_of, measured, percent
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, touches
+from shmoo_mjx.geometry.hands import touches
 from shmoo_mjx.learning import contact_prior, estimate
 from shmoo_mjx.learning.estimate import EstimateConfig, ObjectEstimate, Sighting
 from shmoo_mjx.learning.online import BAND
 from shmoo_mjx.learning.weights import Weights, load_weights
-from shmoo_mjx.plant.condition import Condition
-from shmoo_mjx.plant.objects import FAMILIES, draw_condition
-from shmoo_mjx.plant.scene import build_scene
+from shmoo_mjx.plant.objects import FAMILIES
 from shmoo_mjx.sensing import senses_named
 from shmoo_mjx.sensing.engine import SensedEngine
-from shmoo_mjx.types import DT, Command
+from shmoo_mjx.types import DT
 
 SECONDS = (1.0, 3.0, 10.0)
 """Times in contact at which the estimate is scored [s]."""
 _MASS = contact_model.PARAMETERS.index("log_mass")
 _AHEAD = 30
 """Steps of the roll-outs."""
-_CHUNK = 5
-"""Objects per trial. They are simulated in parallel."""
 _DRAWS = 32
 """Number of roll-outs, each with another posterior sample."""
 JUMP = 1.5
@@ -54,66 +54,65 @@ class ObjectEstimateConfig(ExperimentConfig):
 
     objects: int = 20
     """Objects per family."""
-    seconds: float = 40.0
-    """Length of a recording [s]."""
-    speeds: tuple[float, float] = (0.06, 0.3)
-    """Range of the operators' speeds [m/s], similar to the controller's."""
+    seconds: float = 60.0
+    """Longest recording [s]."""
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
 
 
-def _trials(setup: Setup[ObjectEstimateConfig]) -> dict[str, tuple[str, int]]:
-    chunks = range(0, setup.config.objects, _CHUNK)
-    return {f"{family}-{first}": (family, first) for family in FAMILIES for first in chunks}
+def _trials(setup: Setup[ObjectEstimateConfig]) -> dict[str, Trial]:
+    options, count = setup.options, setup.config.objects
+    drawn = draw_trials(options.first_unseen, options.seed, count, stratum=EVERYTHING)
+    # One push per object; successive objects have successive goals.
+    return {trial.name: trial for trial in drawn if trial.goal == trial.run % len(GOALS) + 1}
 
 
-def _trial(setup: Setup[ObjectEstimateConfig], trial: tuple[str, int]) -> list[dict[str, Any]]:
-    """One row per object and time in SECONDS that its recording reaches."""
-    config, (family, first) = setup.config.estimate, trial
-    count = min(_CHUNK, setup.config.objects - first)
-    seeds = [setup.options.first_unseen + first + i for i in range(count)]
-    conditions = [draw_condition(family, seed) for seed in seeds]
-    sightings, poses, axes = _recorded(setup, conditions, seeds)
+def _trial(setup: Setup[ObjectEstimateConfig], trial: Trial) -> list[dict[str, Any]]:
+    """One row per time in SECONDS that the recording reaches."""
+    config, condition = setup.config.estimate, trial.condition
     weights = _weights(setup.options.weights_file)
-    prior = contact_prior.of_kind(weights.contact_prior, family)
-    bands, masses, states = _filter(config, prior, sightings)
+    sightings, first, poses = _recorded(setup, trial, _pusher(setup.options.weights_file))
+    felt = se2.rotate(sightings.wrench[:, :2], -poses[:, 2])
+    axis = int(np.nansum(np.abs(felt), axis=0).argmax())
+    prior = contact_prior.of_kind(weights.contact_prior, trial.family)
+    bands, masses, states = _filter(config, prior, sightings, first)
     bands, masses = np.asarray(bands), np.asarray(masses)
-    contact = np.cumsum(np.asarray(touches(sightings.wrench)) & np.asarray(sightings.detected), axis=1)
+    contact = np.cumsum(np.asarray(touches(sightings.wrench)) & sightings.detected)
+    truth = contact_prior.parameters_of(condition)
+    true = np.log([contact_model.resistance(truth)[axis], np.exp(truth[_MASS])])
+    jumps = int(np.sum(np.abs(np.diff(np.log(masses))) > np.log(JUMP)))
     rows = []
-    for i, condition in enumerate(conditions):
-        truth = contact_prior.parameters_of(condition)
-        true = np.log([contact_model.resistance(truth)[axes[i]], np.exp(truth[_MASS])])
-        jumps = int(np.sum(np.abs(np.diff(np.log(masses[i]))) > np.log(JUMP)))
-        for seconds in SECONDS:
-            at = int(np.searchsorted(contact[i], round(seconds / DT)))
-            if at == contact.shape[1]:
-                continue
-            row = {
-                "family": family,
-                "seed": seeds[i],
-                "contact_s": seconds,
-                "locked": any(condition.locked),
-                "jumps": jumps,
+    for seconds in SECONDS:
+        at = int(np.searchsorted(contact, round(seconds / DT)))
+        if at == len(contact):
+            continue
+        row = {
+            "family": trial.family,
+            "seed": condition.seed,
+            "contact_s": seconds,
+            "locked": any(condition.locked),
+            "jumps": jumps,
+        }
+        for k, (name, column) in enumerate((("friction", axis), ("mass", 2))):
+            low, middle, high = np.log(bands[at, :, column])
+            row |= {
+                f"{name}_true": float(np.exp(true[k])),
+                f"{name}_median": float(np.exp(middle)),
+                f"{name}_error": float(abs(np.expm1(middle - true[k]))),
+                f"{name}_covered": bool(low <= true[k] <= high),
             }
-            for k, (name, column) in enumerate((("friction", axes[i]), ("mass", 2))):
-                low, middle, high = np.log(bands[i, at, :, column])
-                row |= {
-                    f"{name}_true": float(np.exp(true[k])),
-                    f"{name}_median": float(np.exp(middle)),
-                    f"{name}_error": float(abs(np.expm1(middle - true[k]))),
-                    f"{name}_covered": bool(low <= true[k] <= high),
-                }
-            if at + _AHEAD < contact.shape[1]:
-                state = jax.tree.map(lambda a, i=i, at=at: a[i, at], states)
-                row |= _ahead(
-                    config,
-                    weights,
-                    prior,
-                    state,
-                    wrenches=np.asarray(sightings.wrench)[i, at : at + _AHEAD + 1],
-                    size=float(np.asarray(sightings.size)[i, 0]),
-                    true=poses[i, at + _AHEAD, :2],
-                )
-            rows.append(row)
+        # What follows must be one push.
+        ends = at + _AHEAD
+        if ends < len(contact) and np.isfinite(poses[ends]).all() and not first[at + 1 : ends + 1].any():
+            row |= _ahead(
+                config,
+                weights,
+                prior,
+                jax.tree.map(lambda a, at=at: a[at], states),
+                wrenches=sightings.wrench[at : ends + 1],
+                size=float(sightings.size[0]),
+                true=poses[ends, :2],
+            )
+        rows.append(row)
     return rows
 
 
@@ -166,34 +165,41 @@ def _roll_outs(
 
 
 def _recorded(
-    setup: Setup[ObjectEstimateConfig], conditions: list[Condition], seeds: list[int]
+    setup: Setup[ObjectEstimateConfig], trial: Trial, pusher: PushController
 ) -> tuple[Sighting, np.ndarray, np.ndarray]:
-    """Sensed samples ``[W, T, ...]`` of W objects that operators push, true poses ``[W, T, 3]`` in {W}, and the axis of
-    {O} along which each is pushed (0 or 1)."""
-    senses, count = senses_named(setup.options.senses), len(conditions)
-    rng = np.random.default_rng([setup.options.seed, *seeds[:1], FAMILIES.index(conditions[0].family)])
-    half_extents = [c.half_extents for c in conditions]
-    operator, poses = operators(rng, count, half_extents)
-    operator = operator._replace(liveliness=np.full(count, 0.4))
-    scenes = [
-        build_scene([(c, (0.0, 0.0, 0.0))], pose.tolist(), adjust=senses.adjust(seed))
-        for c, pose, seed in zip(conditions, poses, seeds, strict=True)
-    ]
-    sizes, columns, true = np.hypot(*np.array(half_extents).T), [], []
-    with SensedEngine(scenes, senses, seeds, poses_known=True) as engine:
-        ones = np.ones(count)
-        still = Command(np.zeros((count, 3)), poses[:, 2], REACH * ones, HAND_HEIGHT * ones)
-        world, sensed = engine.step(engine.init(), still, 1.0)
-        for _ in range(round(setup.config.seconds / DT)):
-            operator, command = drive(rng, operator, sensed)
-            operator = operator._replace(speed=np.clip(operator.speed, *setup.config.speeds))
-            world, sensed = engine.step(world, command)
-            of_object = (sensed.object_pose, sensed.object_twist, sensed.object_age, sensed.detected, sensed.wrench)
-            pose, twist, age, detected, wrench = (np.asarray(value[:, 0]) for value in of_object)
-            columns.append(Sighting(pose, twist, age, detected, wrench, sizes))
-            true.append(engine.true_observation(world).object_pose[:, 0])
-    stacked = jax.tree.map(lambda *column: np.stack(column, axis=1), *columns)
-    return stacked, np.stack(true, axis=1), (np.abs(np.cos(operator.face[:, 2])) < 0.5).astype(int)
+    """Sensed samples ``[T, ...]`` of the robot's successive pushes, which of them begin a push ``[T]``, and the
+    true poses ``[T, 3]`` of the object in {W}; NaN after the last push."""
+    senses, config = senses_named(setup.options.senses), setup.config
+    task = task_of(trial.condition, trial.goal_pose, pusher, seed=trial.seed)
+    size = float(np.hypot(*trial.condition.half_extents))
+    longest = round(config.seconds / DT)
+    # Samples without a push have no pose, so the filter ignores them.
+    nothing = (np.full((longest, 3), np.nan), np.zeros((longest, 3)), np.zeros(longest), np.zeros(longest, bool))
+    sightings = Sighting(*nothing, np.zeros((longest, 3)), np.full(longest, size))
+    first, poses, count, pushed = np.zeros(longest, bool), np.full((longest, 3), np.nan), 0, False
+    scene = scene_of_trial(trial, trial.condition, senses)
+    with SensedEngine([scene], senses, trial.seed, poses_known=True) as engine:
+        world = engine.init()
+        obs = engine.observe(world)
+        while not task.finished and float(obs.time[0]) < config.seconds:
+            command = task.tick(obs)
+            world, obs = engine.step(world, command)
+            if engine.diverged(world)[0] or engine.fallen(world)[0]:
+                break
+            before, pushed = pushed, task.mode == Mode.PUSH
+            if pushed and count < longest:
+                of_object = (obs.object_pose, obs.object_twist, obs.object_age, obs.detected, obs.wrench)
+                for column, value in zip(sightings, of_object, strict=False):
+                    column[count] = value[0, 0]
+                first[count] = not before
+                poses[count] = engine.true_observation(world).object_pose[0, 0]
+                count += 1
+    return sightings, first, poses
+
+
+@cache
+def _pusher(file: Path) -> PushController:
+    return PushController(_weights(file), pose_push_config())
 
 
 @cache
@@ -202,24 +208,23 @@ def _weights(file: Path) -> Weights:
 
 
 @partial(jax.jit, static_argnums=0)
-def _filter(config: EstimateConfig, prior: Any, sightings: Sighting) -> tuple[Any, Any, ObjectEstimate]:
-    """Bands ``[W, T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[W, T]``, and
-    the posteriors after each sample without their constant fields."""
+def _filter(config: EstimateConfig, prior: Any, sightings: Sighting, first: Any) -> tuple[Any, Any, ObjectEstimate]:
+    """Bands ``[T, 3, 3]`` (low, median, high) of friction along x and y and of mass, the mean mass ``[T]``, and the
+    posteriors after each sample without their constant fields."""
 
-    def step(state: ObjectEstimate, sample: Sighting) -> tuple[ObjectEstimate, Any]:
-        state = estimate.step(config, state, sample)
+    def step(state: ObjectEstimate, sample: Any) -> tuple[ObjectEstimate, Any]:
+        sighting, begins = sample
+        state = estimate.step(config, state._replace(located=state.located & ~begins), sighting)
         friction = contact_model.resistance(state.parameters)
         quantities = jnp.concatenate([friction, jnp.exp(state.parameters[:, _MASS, None])], axis=-1)
         bands = estimate.quantiles(state, quantities, BAND)
         moving: dict[str, Any] = state._asdict() | {"prior": None, "key": None}
         return state, (bands, jnp.exp(estimate.mean(state)[_MASS]), ObjectEstimate(**moving))
 
-    def one(samples: Sighting, key: Any) -> Any:
-        return jax.lax.scan(step, estimate.init(config, prior, key), samples)[1]
-
     samples = jax.tree.map(lambda a: jnp.asarray(a, bool if a.dtype == bool else jnp.float32), sightings)
-    keys = jax.random.split(jax.random.key(0), len(sightings.pose))
-    filtered: tuple[Any, Any, ObjectEstimate] = jax.vmap(one)(samples, keys)
+    filtered: tuple[Any, Any, ObjectEstimate] = jax.lax.scan(
+        step, estimate.init(config, prior, jax.random.key(0)), (samples, jnp.asarray(first, bool))
+    )[1]
     return filtered
 
 
