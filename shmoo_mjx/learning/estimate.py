@@ -23,7 +23,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Bool, Float, Int, Key, Scalar, single_precision
 from shmoo_mjx.dynamics import contact_model, features
 from shmoo_mjx.geometry import se2
-from shmoo_mjx.geometry.hands import touches
+from shmoo_mjx.geometry.hands import CONTACT_FORCE, touches
 from shmoo_mjx.types import DT
 
 _DEFAULT_KEY = 580
@@ -288,7 +288,7 @@ def true_wrench(config: EstimateConfig, force: Float[Array, "N 2"], wrench: Floa
         wrench: sensed wrench [N, N m].
     """
     scale, offset = config.force_error
-    size = jnp.maximum(jnp.hypot(wrench[0], wrench[1]), 2.0)
+    size = jnp.maximum(jnp.hypot(wrench[0], wrench[1]), CONTACT_FORCE)
     share = jnp.exp(-scale * force[:, 0]) - offset * force[:, 1] / size
     return wrench * (touches(wrench) * jnp.maximum(share, 0.0))[:, None]
 
