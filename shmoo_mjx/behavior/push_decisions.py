@@ -41,7 +41,7 @@ def review(setup: Setup, state: NavigatorState, obs: Observation) -> NavigatorSt
     push, target, routes = segment.push, state.target(), setup.routes(state)
     assert push is not None
     looks = (state.mode is Mode.PUSH or rolled(push, target.pose)) and round(now / DT) % _CLEAR_EVERY == 0
-    if looks and routes.path_clear(obs.robot_pose[0, :2], segment.object):
+    if looks and push_options.path_clear(routes, obs.robot_pose[0, :2], segment.object):
         state = state.with_object(segment.object, status=Status.PARKED)
         return state.go(now, Mode.RETREAT, f"object {segment.object} no longer blocks the path")
     if push.contact_time < segment.reviewed + PROBE_TIME:

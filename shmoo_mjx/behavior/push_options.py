@@ -17,7 +17,7 @@ import shapely
 
 from shmoo_mjx.arrays import Array, Bool, Float
 from shmoo_mjx.behavior.belief import ObjectBelief, all_faces
-from shmoo_mjx.behavior.routes import PACE, Route
+from shmoo_mjx.behavior.routes import PACE, PATH_MARGIN, Route, Routes
 from shmoo_mjx.behavior.state import Option
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.planning.distance_field import DistanceField
@@ -63,8 +63,6 @@ _BESIDE = 1.0
 """How far beside its path the robot may pass the object [m]. Anything farther is a detour."""
 _ENDS = 9
 """Number of cells nearest to an end of the path, at least one of which must be free."""
-_PATH_MARGIN = 0.05
-"""Required distance between the robot's path and the object, in addition to the robot's radius [m]."""
 
 
 @dataclass(eq=False)
@@ -175,6 +173,21 @@ def rank_pushes(
         push.probability, push.works, push.seconds = map(float, numbers)
     best = {push.side: push for push in sorted(pushes, key=lambda push: -push.seconds)}
     return sorted(best.values(), key=lambda push: push.seconds)
+
+
+def path_clear(routes: Routes, position: Float[Array, "2"], index: int) -> bool:
+    """Whether the robot, now at ``position``, can pass object ``index`` at its current pose.
+
+    The criterion is that of the roll-outs. If it were stricter, a push would go on with goals that are always just
+    ahead.
+    """
+    through = routes.quickest(position, without=index)
+    detour = routes.quickest(position, {index: PATH_MARGIN})
+    if through is None or detour is None or detour.seconds > through.seconds + 2.0 * _BESIDE / PACE:
+        return False
+    target, clearance = routes.belief.objects[index], routes.belief.clearance(without=index)
+    pose = target.pose[None]
+    return bool(_passes(pose, target.pose, target.half_extents, path=through.path, clearance=clearance)[0])
 
 
 def time_without_push(through: Route, detour: Route | None) -> float:
@@ -302,7 +315,7 @@ def _joined(free: Bool[np.ndarray, "N h w"], from_end: Sequence[Float[np.ndarray
 
 def _taken(yaw: float, half_extents: tuple[float, float]) -> Bool[np.ndarray, "c c"]:
     """Cells that the robot can't occupy, on a square around an object at the centre of the middle cell."""
-    reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + _PATH_MARGIN) / _GRAIN[0]) + 1
+    reach = int((np.hypot(*half_extents) + ROBOT_RADIUS + PATH_MARGIN) / _GRAIN[0]) + 1
     ticks = _GRAIN[0] * np.arange(-reach, reach + 1)
     cells = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
     return _near(np.array([0.0, 0.0, yaw]), half_extents, cells)
@@ -313,7 +326,7 @@ def _near(
 ) -> Bool[np.ndarray, "*r"]:
     """Whether an object at ``pose`` leaves the robot no room at a point."""
     local = np.abs(se2.inverse_transform_point(pose, points))
-    return np.asarray(np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + _PATH_MARGIN)
+    return np.asarray(np.linalg.norm(np.maximum(local - half_extents, 0.0), axis=-1) < ROBOT_RADIUS + PATH_MARGIN)
 
 
 def _dense(points: Float[np.ndarray, "N 2"], spacing: float = 0.1) -> Float[np.ndarray, "M 2"]:

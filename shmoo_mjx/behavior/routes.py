@@ -39,9 +39,7 @@ _BACK_ANGLES = np.deg2rad([0, -20, 20, -40, 40, -60, 60])
 """Directions of a retreat relative to straight away from the object [rad]."""
 _BACK_LENGTHS = np.array([0.2, 0.3, 0.4, 0.55, 0.7])
 """Lengths of a retreat [m]."""
-_PASSING = 0.3
-"""A pushed object is out of the way once passing it makes the path at most this much longer [m]."""
-_PATH_MARGIN = 0.05
+PATH_MARGIN = 0.05
 """Required distance between the path and a pushed object, in addition to the robot's radius [m]."""
 _WALL_MARGIN = 0.05
 """Required distance between walls and a pushed object's goal [m]."""
@@ -123,11 +121,6 @@ class Routes:
         own = PUSH if item.price is None else item.price
         return own if self.price is None else self.price
 
-    def path_clear(self, position: Float[Array, "2"], index: int) -> bool:
-        """Whether object ``index`` at its current pose makes the path at most slightly longer than without it."""
-        through, detour = self.quickest(position, without=index), self.quickest(position, {index: _PATH_MARGIN})
-        return through is not None and detour is not None and detour.seconds < through.seconds + _PASSING / PACE
-
     def free_path(
         self, position: Float[Array, "2"], target: ObjectBelief, instead: shapely.Polygon | None = None
     ) -> Path | None:
@@ -144,7 +137,7 @@ class Routes:
         deviation from the paper, because P is planned before the object's goal is known.
         """
         half = np.array(target.half_extents)
-        path_clearance = ROBOT_RADIUS + _PATH_MARGIN
+        path_clearance = ROBOT_RADIUS + PATH_MARGIN
 
         def check(poses: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, "P"]:
             off_walls = footprints_free(clearance, poses, half, wall_clearance=_WALL_MARGIN)
@@ -159,7 +152,7 @@ class Routes:
                 return off_path
             nearest = np.argsort(np.linalg.norm(poses[candidates, :2] - target.pose[:2], axis=1))
             for i in candidates[nearest][:: max(1, len(nearest) // _OTHER_PATHS)]:
-                other = self.free_path(position, target, footprint_polygon(poses[i], half).buffer(_PATH_MARGIN))
+                other = self.free_path(position, target, footprint_polygon(poses[i], half).buffer(PATH_MARGIN))
                 off_path[i] = other is not None and other.length < path.length + _OTHER_DETOUR
             return off_path
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from shmoo_mjx.behavior.belief import ObjectBelief, Status, belief_of
+from shmoo_mjx.behavior.push_options import path_clear, predict_pushes
 from shmoo_mjx.behavior.routes import PACE, PUSH, Routes
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.planning.maps import FREE, OCCUPIED, OccupancyGrid
 from shmoo_mjx.planning.paths import path_blocked_by
+from shmoo_mjx.planning.reach import STEPS, Options, Outcomes
 from shmoo_mjx.types import Observation
 
 HALF = (0.25, 0.25)
@@ -98,13 +101,32 @@ def routes(doors: tuple[float, ...], pose: tuple[float, float, float]) -> tuple[
 @pytest.mark.parametrize(("y", "clear"), [(3.0, False), (4.6, True)])
 def test_the_path_is_clear_once_the_object_stands_beside_it(y: float, clear: bool) -> None:
     ways, _ = routes((3.0,), (3.6 if clear else 3.0, y, 0.0))
-    assert ways.path_clear(np.array([1.0, 3.0]), 0) is clear
+    assert path_clear(ways, np.array([1.0, 3.0]), 0) is clear
 
 
 def test_the_way_through_another_door_is_not_a_clear_path() -> None:
     ways, known = routes((3.0, 5.0), (3.0, 3.0, 0.0))
     assert ways.plan(np.array([1.0, 3.0]), [known.polygon]) is not None
-    assert not ways.path_clear(np.array([1.0, 3.0]), 0)
+    assert not path_clear(ways, np.array([1.0, 3.0]), 0)
+
+
+@pytest.mark.parametrize("x", [3.0, 3.3, 3.6, 3.9, 4.2])
+@pytest.mark.parametrize("y", [2.6, 3.0, 3.4])
+def test_a_push_ends_where_its_prediction_says_that_the_path_is_free(x: float, y: float) -> None:
+    """Otherwise the predicted goal is always just ahead of the object, and the push goes on."""
+    ways, target = routes((3.0,), (x, y, 0.0))
+    here, clearance = np.array([1.0, 3.0]), ways.belief.clearance(without=0)
+    through = ways.quickest(here, without=0)
+    assert through is not None
+
+    def stays(adapt: Any, kind: Any, pose: Any, half: Any, options: Options, seed: int) -> Outcomes:
+        """Nothing moves; the robot is where it hits no wall."""
+        count = len(options.goal)
+        robot = np.tile(np.array([1.0, 3.0, 0.0]), (count, 1, STEPS, 1))
+        return Outcomes(np.tile(pose, (count, 1, STEPS, 1)), robot)
+
+    at_once = predict_pushes(stays, target, through.path, clearance=clearance, sides=[0], places={})
+    assert path_clear(ways, here, 0) == np.isfinite(at_once[0].free).all()
 
 
 @pytest.mark.parametrize(
