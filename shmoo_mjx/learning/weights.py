@@ -24,7 +24,7 @@ from shmoo_mjx.learning.object_fit import ObjectFit
 from shmoo_mjx.learning.online import LearnerState
 from shmoo_mjx.learning.robot_fit import RobotFit
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """Version of the file format. It increases when a field changes its meaning or its name."""
 
 
