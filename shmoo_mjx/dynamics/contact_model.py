@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shmoo_mjx.arrays import Array, Float
+from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import features
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import HAND_HEIGHT
@@ -55,6 +55,8 @@ GRAVITY = 9.81
 GAUSS_SEIDEL_ITERATIONS = 5
 """Projected Gauss-Seidel iterations over the four points, whose impulses depend on each other. More is more accurate
 and slower."""
+_TRAIL = 0.045
+"""Distance between a caster's swivel axis and its contact point [m]."""
 _DIRECTED = 0.01
 """Speed of a point from which on its motion has a direction that a caster keeps [m/s]."""
 
@@ -94,13 +96,18 @@ def resistance(parameters: Float[Array, "... 20"]) -> Float[Array, "... 2"]:
 
 
 def acceleration(
-    parameters: Float[Array, "20 ..."], inputs: Float[Array, "n ..."], shifts: tuple[float, ...] | None = None
+    parameters: Float[Array, "20 ..."],
+    inputs: Float[Array, "n ..."],
+    shifts: tuple[float, ...] | None = None,
+    casters: Float[Array, "4 ..."] | None = None,
 ) -> Float[Array, "3 ..."] | Float[Array, "K 3 ..."]:
     """Mean acceleration of the object over one sample, in {O}, channels first.
 
     Args:
         parameters: in the order of PARAMETERS; of one object, or one set per input.
         inputs: in the order of OBJECT_INPUTS; the last wrench is optional.
+        casters: rolling directions of the casters in {O} [rad], in the order of POINTS. Without them, each caster is
+            taken to point in the direction in which it moves.
         shifts: K values to add to the log friction coefficients; each gives one prediction.
 
     Returns:
@@ -123,16 +130,19 @@ def acceleration(
     load_x = jnp.clip((tip * fx - mid_x) / half_x, -0.98, 0.98)
     load_y = jnp.clip((tip * fy - mid_y) / half_y, -0.98, 0.98)
     shifted = jnp.zeros(()) if shifts is None else jnp.array(shifts).reshape(-1, *(1,) * vx.ndim)
-    points = []
+    points: list[tuple[Any, ...]] = []
     for name, (front, left) in POINTS.items():
         lx, ly = mid_x + front * half_x, mid_y + left * half_y
         weight = DT * mass * GRAVITY / 4 * (1 + front * load_x) * (1 + left * load_y)
         friction_x, friction_y = (jnp.exp(named[f"log_friction_{axis}_{name}"] + shifted) for axis in "xy")
         stiffness = 1.0 / (inverse_mass + (lx**2 + ly**2) * inverse_inertia)
-        ahead_x, ahead_y = vx - spin * (y + ly), vy + spin * (x + lx)
-        per_speed = jax.lax.rsqrt(ahead_x**2 + ahead_y**2 + _DIRECTED**2)
-        # Unit vector across the point's motion; shorter where the point is almost at rest.
-        across = -ahead_y * per_speed, ahead_x * per_speed
+        if casters is None:
+            ahead_x, ahead_y = vx - spin * (y + ly), vy + spin * (x + lx)
+            per_speed = jax.lax.rsqrt(ahead_x**2 + ahead_y**2 + _DIRECTED**2)
+            # Unit vector across the point's motion; shorter where the point is almost at rest.
+            across = -ahead_y * per_speed, ahead_x * per_speed
+        else:
+            across = -jnp.sin(casters[len(points)]), jnp.cos(casters[len(points)])
         hold = weight * jnp.exp(named[f"log_swivel_{name}"])
         turns = (inverse_inertia * lx, inverse_inertia * ly)
         points.append((lx, ly, turns, stiffness, weight, (friction_x, friction_y), across, hold))
@@ -167,6 +177,37 @@ def acceleration(
     start = (twist, ((none, none, none),) * len(POINTS))
     ((ux, uy, turn), _), _ = jax.lax.scan(iterate, start, length=GAUSS_SEIDEL_ITERATIONS)
     return jnp.stack([ux + turn * y - vx, uy - turn * x - vy, turn - spin], axis=int(shifts is not None)) / DT
+
+
+def turned(
+    casters: Float[Array, "4 ..."], parameters: Float[Array, "20 ..."], twist: Float[Array, "3 ..."], size: Scalar
+) -> Float[Array, "4 ..."]:
+    """Rolling directions of the casters [rad] after one sample with this ``twist``, in {O}, channels first.
+
+    A wheel on a trail does not slip sideways, so it turns towards the motion of its swivel by
+    -speed / trail * sin(angle between them).
+
+    Args:
+        casters: rolling directions before [rad].
+        parameters: in the order of PARAMETERS.
+        twist: [m/s, m/s, rad/s] in {O}.
+        size: half the diagonal of the footprint [m].
+    """
+    named = dict(zip(PARAMETERS, parameters, strict=True))
+    vx, vy, spin = twist
+    after = []
+    for angle, (front, left) in zip(casters, POINTS.values(), strict=True):
+        x = (named["feet_x"] + front * jnp.exp(named["log_foot_x"])) * size
+        y = (named["feet_y"] + left * jnp.exp(named["log_foot_y"])) * size
+        ahead_x, ahead_y = vx - spin * y, vy + spin * x
+        cos, sin = jnp.cos(angle), jnp.sin(angle)
+        # tan(half the angle from the motion to the caster) decays by exp(-distance / trail).
+        along, aside = ahead_x * cos + ahead_y * sin, ahead_x * sin - ahead_y * cos
+        speed = jnp.sqrt(along**2 + aside**2 + 1e-12)
+        half = jnp.arctan2(aside, speed + along)
+        shrunk = jnp.arctan2(jnp.sin(half) * jnp.exp(-speed * DT / _TRAIL), jnp.cos(half))
+        after.append(se2.wrap(angle + 2.0 * (shrunk - half) - spin * DT))
+    return jnp.stack(after)
 
 
 def _within_grip(x: Array, y: Array, weight: Array, frictions: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -108,8 +108,8 @@ def _trial(setup: Setup[ObjectEstimateConfig], trial: Trial) -> list[dict[str, A
                 weights,
                 prior,
                 jax.tree.map(lambda a, at=at: a[at], states),
-                wrenches=sightings.wrench[at : ends + 1],
-                size=float(sightings.size[0]),
+                wrenches=np.asarray(sightings.wrench)[at : ends + 1],
+                size=float(np.hypot(*condition.half_extents)),
                 true=poses[ends, :2],
             )
         rows.append(row)
@@ -174,8 +174,9 @@ def _recorded(
     size = float(np.hypot(*trial.condition.half_extents))
     longest = round(config.seconds / DT)
     # Samples without a push have no pose, so the filter ignores them.
-    nothing = (np.full((longest, 3), np.nan), np.zeros((longest, 3)), np.zeros(longest), np.zeros(longest, bool))
-    sightings = Sighting(*nothing, np.zeros((longest, 3)), np.full(longest, size))
+    three = (longest, 3)
+    columns = (np.full(three, np.nan), np.zeros(three), np.zeros(longest), np.zeros(longest, bool), np.zeros(three))
+    sightings = Sighting(*columns, np.full(longest, size))
     first, poses, count, pushed = np.zeros(longest, bool), np.full((longest, 3), np.nan), 0, False
     scene = scene_of_trial(trial, trial.condition, senses)
     with SensedEngine([scene], senses, trial.seed, poses_known=True) as engine:
@@ -189,7 +190,7 @@ def _recorded(
             before, pushed = pushed, task.mode == Mode.PUSH
             if pushed and count < longest:
                 of_object = (obs.object_pose, obs.object_twist, obs.object_age, obs.detected, obs.wrench)
-                for column, value in zip(sightings, of_object, strict=False):
+                for column, value in zip(columns, of_object, strict=True):
                     column[count] = value[0, 0]
                 first[count] = not before
                 poses[count] = engine.true_observation(world).object_pose[0, 0]

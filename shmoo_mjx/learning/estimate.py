@@ -89,6 +89,8 @@ class ObjectEstimate(NamedTuple):
     """Pose of the object in {W} [m, m, rad]."""
     twist: Float[Array, "... N 3"]
     """Twist of the object in {W} [m/s, m/s, rad/s]."""
+    casters: Float[Array, "... N 4"]
+    """Rolling directions of the casters in {O} [rad], in the order of `contact_model.POINTS`."""
     log_weight: Float[Array, "... N"]
     """Logarithms of the normalised weights."""
     prior: Float[Array, "... M p"]
@@ -112,13 +114,14 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
     """
     prior = jnp.asarray(prior, jnp.float32)
     key = jax.random.key(_DEFAULT_KEY) if key is None else key
-    first, force, later = jax.random.split(key, 3)
+    first, force, casters, later = jax.random.split(key, 4)
     none = jnp.zeros((config.particles, 3))
     return ObjectEstimate(
         _from_prior(first, prior, config.particles),
         jax.random.normal(force, (config.particles, 2)),
         none,
         none,
+        jax.random.uniform(casters, (config.particles, 4), minval=-jnp.pi, maxval=jnp.pi),
         _even(config.particles),
         prior,
         later,
@@ -150,8 +153,11 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
 
     inside = se2.rotate(twist, -pose[:, 2])
     felt = se2.rotate(true_wrench(config, state.force, wrench), -pose[:, 2])
-    acceleration = se2.rotate(_acceleration(state.parameters, inside, felt, size), pose[:, 2])
+    inside_acceleration = _acceleration(state.parameters, inside, felt, size, casters=state.casters)
+    acceleration = se2.rotate(inside_acceleration, pose[:, 2])
     new_twist = twist + acceleration * DT
+    mean_twist = inside + 0.5 * DT * inside_acceleration
+    casters = contact_model.turned(state.casters.T, state.parameters.T, mean_twist.T, size).T
     new_pose = pose + 0.5 * (twist + new_twist) * DT
 
     measured = detected & state.located
@@ -163,6 +169,7 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
     moved = state._replace(
         pose=new_pose + to_pose * innovation,
         twist=new_twist + to_twist * innovation,
+        casters=casters,
         key=key,
         located=jnp.asarray(True),
     )
@@ -270,13 +277,15 @@ def draw(state: ObjectEstimate, key: Key[Array, ""], count: int) -> Float[Array,
     return state.parameters[jax.random.categorical(key, state.log_weight, shape=(count,))]
 
 
-def _acceleration(parameters: Array, twist: Array, wrench: Array, size: Array) -> Array:
+def _acceleration(
+    parameters: Array, twist: Array, wrench: Array, size: Array, *, casters: Array | None = None
+) -> Array:
     """Acceleration ``[N, 3]`` of each particle in {O} under its wrench."""
     last = jnp.zeros_like(twist)
     inputs = features.object_inputs(
         twist.T, wrench.T, last_twist=last.T, size=jnp.full(len(twist), size), last_wrench=last.T, axis=0
     )
-    return contact_model.acceleration(parameters.T, inputs).T
+    return contact_model.acceleration(parameters.T, inputs, casters=None if casters is None else casters.T).T
 
 
 def true_wrench(config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"]) -> Float[Array, "N 3"]:
@@ -330,6 +339,7 @@ def _resampled(config: EstimateConfig, state: ObjectEstimate, key: Array) -> Obj
         force=spread_out(state.force),
         pose=state.pose[chosen],
         twist=state.twist[chosen],
+        casters=state.casters[chosen],
         log_weight=_even(count),
     )
 

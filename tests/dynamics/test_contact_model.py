@@ -99,6 +99,44 @@ def test_casters_let_it_turn_on() -> None:
     assert abs(acceleration(cart, inputs((0.2, 0.0, 0.2)))[2]) < 0.1
 
 
+def test_a_caster_that_points_aside_holds_the_way_ahead() -> None:
+    swivels = {f"log_swivel_{point}": np.log(0.05) for point in contact_model.POINTS}
+    cart = contact(log_mass=np.log(20.0), friction=(1e-4, 1e-4), **swivels)
+    limit = 0.05 * 20.0 * contact_model.GRAVITY
+    aside, ahead = (np.full(4, angle) for angle in (np.pi / 2, 0.0))
+    for force, expected in ((0.9 * limit, 0.0), (2.0 * limit, limit / 20.0)):
+        there = inputs(wrench=(force, 0.0, 0.0))
+        assert acceleration(cart, there, casters=aside)[0] == pytest.approx(expected, abs=0.03)
+        assert acceleration(cart, there, casters=ahead)[0] == pytest.approx(force / 20.0, rel=0.02)
+
+
+def test_casters_turn_as_wheels_that_do_not_slip_sideways() -> None:
+    """The closed form is the limit of small steps, and the object's own turn leaves them where they point."""
+    cart = jnp.asarray(contact(log_mass=np.log(20.0)))
+    start = np.array([0.3, -2.0, 3.1, 1.5], np.float32)
+    for twist in ((0.2, 0.0, 0.0), (0.1, -0.2, 0.0), (0.3, 0.1, 0.4)):
+        once = np.asarray(contact_model.turned(start, cart, np.array(twist, np.float32), SIZE))
+        small = start.astype(float)
+        for _ in range(2000):
+            small = small + (rates(cart, small, twist)) * DT / 2000
+        np.testing.assert_allclose(np.cos(once - small), 1.0, atol=2e-3)
+    still = np.asarray(contact_model.turned(start, cart, np.zeros(3, np.float32), SIZE))
+    np.testing.assert_allclose(still, start, atol=1e-5)
+
+
+def rates(parameters: jnp.ndarray, casters: np.ndarray, twist: tuple[float, float, float]) -> np.ndarray:
+    """Rate of each caster [rad/s] in {O} from the sideways speed of its swivel."""
+    named = dict(zip(contact_model.PARAMETERS, np.asarray(parameters, float), strict=True))
+    vx, vy, spin = twist
+    found = []
+    for angle, (front, left) in zip(casters, contact_model.POINTS.values(), strict=True):
+        x = (named["feet_x"] + front * np.exp(named["log_foot_x"])) * SIZE
+        y = (named["feet_y"] + left * np.exp(named["log_foot_y"])) * SIZE
+        sideways = -np.sin(angle) * (vx - spin * y) + np.cos(angle) * (vy + spin * x)
+        found.append(sideways / contact_model._TRAIL - spin)
+    return np.array(found)
+
+
 @pytest.mark.parametrize("family", ["cart", "wheelchair"])
 def test_the_swivels_of_an_object_hold_by_their_friction_and_trail(family: str) -> None:
     free = [False] * 4
