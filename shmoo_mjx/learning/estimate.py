@@ -1,10 +1,10 @@
 """The posterior over an object's contact parameters: a particle filter on the measured poses of the object.
 
-Each particle is one hypothesis: parameters of `contact_model`, an error of the sensed force, and the resulting pose and
-twist of the object. A sample moves every particle by the contact model under the sensed wrench. The filter compares the
-particle with the measured pose at the time of the measurement, and corrects pose and twist with an observer of fixed
-gain. Late poses, drop-outs, coasting and pushes without motion therefore need no special rules, and no measurement is
-differentiated.
+Each particle is one hypothesis: parameters of `contact_model`, an error of the sensed force, the directions of the
+casters, and the resulting pose and twist of the object. A sample moves every particle by the contact model under the
+sensed wrench. The filter compares the particle with the measured pose at the time of the measurement, and corrects pose
+and twist with an observer of fixed gain. Late poses, drop-outs, coasting and pushes without motion therefore need no
+special rules, and no measurement is differentiated.
 
 Particles are resampled when their weights become uneven. Most are shrunk towards the mean and perturbed by differences
 between particles, which have the covariance of the posterior (Liu and West 2001). Some are drawn from the prior again,
