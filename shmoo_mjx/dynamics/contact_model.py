@@ -99,15 +99,15 @@ def acceleration(
     parameters: Float[Array, "20 ..."],
     inputs: Float[Array, "n ..."],
     shifts: tuple[float, ...] | None = None,
-    casters: Float[Array, "4 ..."] | None = None,
+    casters: Float[Array, "4 2 ..."] | None = None,
 ) -> Float[Array, "3 ..."] | Float[Array, "K 3 ..."]:
     """Mean acceleration of the object over one sample, in {O}, channels first.
 
     Args:
         parameters: in the order of PARAMETERS; of one object, or one set per input.
         inputs: in the order of OBJECT_INPUTS; the last wrench is optional.
-        casters: rolling directions of the casters in {O} [rad], in the order of POINTS. Without them, each caster is
-            taken to point in the direction in which it moves.
+        casters: rolling directions of the casters in {O}, unit vectors in the order of POINTS. Without them, each
+            caster is taken to point in the direction in which it moves.
         shifts: K values to add to the log friction coefficients; each gives one prediction.
 
     Returns:
@@ -142,7 +142,8 @@ def acceleration(
             # Unit vector across the point's motion; shorter where the point is almost at rest.
             across = -ahead_y * per_speed, ahead_x * per_speed
         else:
-            across = -jnp.sin(casters[len(points)]), jnp.cos(casters[len(points)])
+            along_x, along_y = casters[len(points)]
+            across = -along_y, along_x
         hold = weight * jnp.exp(named[f"log_swivel_{name}"])
         turns = (inverse_inertia * lx, inverse_inertia * ly)
         points.append((lx, ly, turns, stiffness, weight, (friction_x, friction_y), across, hold))
@@ -180,15 +181,15 @@ def acceleration(
 
 
 def turned(
-    casters: Float[Array, "4 ..."], parameters: Float[Array, "20 ..."], twist: Float[Array, "3 ..."], size: Scalar
-) -> Float[Array, "4 ..."]:
-    """Rolling directions of the casters [rad] after one sample with this ``twist``, in {O}, channels first.
+    casters: Float[Array, "4 2 ..."], parameters: Float[Array, "20 ..."], twist: Float[Array, "3 ..."], size: Scalar
+) -> Float[Array, "4 2 ..."]:
+    """Rolling directions of the casters after one sample with this ``twist``, in {O}, channels first.
 
     A wheel on a trail does not slip sideways, so it turns towards the motion of its swivel by
     -speed / trail * sin(angle between them).
 
     Args:
-        casters: rolling directions before [rad].
+        casters: rolling directions before, unit vectors.
         parameters: in the order of PARAMETERS.
         twist: [m/s, m/s, rad/s] in {O}.
         size: half the diagonal of the footprint [m].
@@ -196,17 +197,19 @@ def turned(
     named = dict(zip(PARAMETERS, parameters, strict=True))
     vx, vy, spin = twist
     after = []
-    for angle, (front, left) in zip(casters, POINTS.values(), strict=True):
+    for (cos, sin), (front, left) in zip(casters, POINTS.values(), strict=True):
         x = (named["feet_x"] + front * jnp.exp(named["log_foot_x"])) * size
         y = (named["feet_y"] + left * jnp.exp(named["log_foot_y"])) * size
         ahead_x, ahead_y = vx - spin * y, vy + spin * x
-        cos, sin = jnp.cos(angle), jnp.sin(angle)
-        # tan(half the angle from the motion to the caster) decays by exp(-distance / trail).
         along, aside = ahead_x * cos + ahead_y * sin, ahead_x * sin - ahead_y * cos
-        speed = jnp.sqrt(along**2 + aside**2 + 1e-12)
-        half = jnp.arctan2(aside, speed + along)
-        shrunk = jnp.arctan2(jnp.sin(half) * jnp.exp(-speed * DT / _TRAIL), jnp.cos(half))
-        after.append(se2.wrap(angle + 2.0 * (shrunk - half) - spin * DT))
+        speed = jnp.sqrt(ahead_x**2 + ahead_y**2 + 1e-12)
+        # Tangent of half the angle from the motion to the caster. It decays by exp(-distance / trail).
+        half = aside / (speed + along + 1e-6)
+        shrunk = half * jnp.exp(-speed * DT / _TRAIL)
+        # Tangent of half the angle by which the caster turns, with that of the object itself.
+        turn = (shrunk - half) / (1.0 + shrunk * half) - 0.5 * spin * DT
+        c, s = (1.0 - turn**2) / (1.0 + turn**2), 2.0 * turn / (1.0 + turn**2)
+        after.append(jnp.stack([c * cos - s * sin, s * cos + c * sin]))
     return jnp.stack(after)
 
 

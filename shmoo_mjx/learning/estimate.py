@@ -89,8 +89,8 @@ class ObjectEstimate(NamedTuple):
     """Pose of the object in {W} [m, m, rad]."""
     twist: Float[Array, "... N 3"]
     """Twist of the object in {W} [m/s, m/s, rad/s]."""
-    casters: Float[Array, "... N 4"]
-    """Rolling directions of the casters in {O} [rad], in the order of `contact_model.POINTS`."""
+    casters: Float[Array, "... N 4 2"]
+    """Rolling directions of the casters in {O}, unit vectors in the order of `contact_model.POINTS`."""
     log_weight: Float[Array, "... N"]
     """Logarithms of the normalised weights."""
     prior: Float[Array, "... M p"]
@@ -116,12 +116,13 @@ def init(config: EstimateConfig, prior: Float[Array, "M p"], key: Key[Array, ""]
     key = jax.random.key(_DEFAULT_KEY) if key is None else key
     first, force, casters, later = jax.random.split(key, 4)
     none = jnp.zeros((config.particles, 3))
+    angles = jax.random.uniform(casters, (config.particles, 4), minval=-jnp.pi, maxval=jnp.pi)
     return ObjectEstimate(
         _from_prior(first, prior, config.particles),
         jax.random.normal(force, (config.particles, 2)),
         none,
         none,
-        jax.random.uniform(casters, (config.particles, 4), minval=-jnp.pi, maxval=jnp.pi),
+        jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1),
         _even(config.particles),
         prior,
         later,
@@ -151,13 +152,14 @@ def step(config: EstimateConfig, state: ObjectEstimate, sighting: Sighting) -> O
     pose = jnp.where(state.located, state.pose, pose_then)
     twist = jnp.where(state.located, state.twist, twist_then)
 
+    directions = jnp.moveaxis(state.casters, 0, -1)
     inside = se2.rotate(twist, -pose[:, 2])
     felt = se2.rotate(true_wrench(config, state.force, wrench), -pose[:, 2])
-    inside_acceleration = _acceleration(state.parameters, inside, felt, size, casters=state.casters)
+    inside_acceleration = _acceleration(state.parameters, inside, felt, size, casters=directions)
     acceleration = se2.rotate(inside_acceleration, pose[:, 2])
     new_twist = twist + acceleration * DT
     mean_twist = inside + 0.5 * DT * inside_acceleration
-    casters = contact_model.turned(state.casters.T, state.parameters.T, mean_twist.T, size).T
+    casters = jnp.moveaxis(contact_model.turned(directions, state.parameters.T, mean_twist.T, size), -1, 0)
     new_pose = pose + 0.5 * (twist + new_twist) * DT
 
     measured = detected & state.located
@@ -285,7 +287,7 @@ def _acceleration(
     inputs = features.object_inputs(
         twist.T, wrench.T, last_twist=last.T, size=jnp.full(len(twist), size), last_wrench=last.T, axis=0
     )
-    return contact_model.acceleration(parameters.T, inputs, casters=None if casters is None else casters.T).T
+    return contact_model.acceleration(parameters.T, inputs, casters=casters).T
 
 
 def true_wrench(config: EstimateConfig, force: Float[Array, "N 2"], wrench: Float[Array, "3"]) -> Float[Array, "N 3"]:
