@@ -7,8 +7,9 @@ such a model to data compensates with a mass that is about a hundred times too l
 
 A push at the height of the hands increases the load on the far points and decreases it on the near ones, which turns
 the object. Each point has separate friction coefficients along x and y of {O}: a wheel rolls along x and grips along
-y, a locked wheel grips along both, and a caster along neither. A caster rolls in the direction in which its point
-moves, and resists a change of this direction up to the force that turns its swivel.
+y, a locked wheel grips along both, and a caster along neither. A caster rolls in a direction of its own, and resists
+motion across it up to the force that turns its swivel. While it turns, its direction approaches that of its motion
+(`turned`).
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ GUESS: dict[str, float] = {
 
 ``log_mass`` is the logarithm of the mass in kg; it includes the rotary inertia of wheels that turn with the object.
 ``log_friction_*`` is the logarithm of the friction coefficient of a point along x or y of {O}, ``log_swivel_*`` that of
-the force that changes the direction of a point's motion, divided by the point's load. All others are lengths divided by
+the force that turns the caster of a point, divided by the point's load. All others are lengths divided by
 half the diagonal of the footprint: ``log_gyration`` (radius of gyration), ``centre_*`` (centre of mass),
 ``log_foot_*`` (half distances of the points) and ``feet_*`` (midpoint of the points)."""
 
@@ -58,7 +59,7 @@ and slower."""
 _TRAIL = 0.045
 """Distance between a caster's swivel axis and its contact point [m]."""
 _DIRECTED = 0.01
-"""Speed of a point from which on its motion has a direction that a caster keeps [m/s]."""
+"""Speed of a point from which on a caster of unknown direction is taken to point along its motion [m/s]."""
 
 
 def guess() -> Float[Array, "20"]:
