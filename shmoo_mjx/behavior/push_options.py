@@ -183,6 +183,8 @@ def path_clear(routes: Routes, position: Float[Array, "2"], index: int) -> bool:
     """
     through = routes.quickest(position, without=index)
     detour = routes.quickest(position, {index: PATH_MARGIN})
+    # The planner, which keeps more from walls than the cells of `_passes`, must find a way past the object too. Going
+    # aside and back again makes a path longer by at most twice _BESIDE.
     if through is None or detour is None or detour.seconds > through.seconds + 2.0 * _BESIDE / PACE:
         return False
     target, clearance = routes.belief.objects[index], routes.belief.clearance(without=index)

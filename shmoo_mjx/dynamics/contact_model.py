@@ -57,7 +57,8 @@ GAUSS_SEIDEL_ITERATIONS = 5
 """Projected Gauss-Seidel iterations over the four points, whose impulses depend on each other. More is more accurate
 and slower."""
 _TRAIL = 0.045
-"""Distance between a caster's swivel axis and its contact point [m]."""
+"""Distance between a caster's swivel axis and its contact point [m], between that of the carts' (0.04) and of the
+wheelchairs' casters (0.05)."""
 _DIRECTED = 0.01
 """Speed of a point from which on a caster of unknown direction is taken to point along its motion [m/s]."""
 

@@ -54,4 +54,5 @@ def test_neither_side_is_preferred() -> None:
             same.append((there + reflected) / 2)
             other.append((there - reflected) / 2)
     share = np.sqrt(np.mean(np.square(other), axis=(0, 1)) / np.mean(np.square(same), axis=(0, 1)))
+    # Casters slow the solver down: with 8 iterations in place of 5 the share is below 0.05.
     assert share.max() < 0.1, f"of sideways motion and turn: {share}"

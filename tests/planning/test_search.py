@@ -152,6 +152,7 @@ def test_an_object_that_nobody_touched_goes_left_as_it_goes_right(kind: str | No
     straight = behind.moved[:50]
     assert np.abs(straight[:, 1]).max() < 0.05 and straight[-1, 0] > 0.9
     left, right = (behind.moved[np.sign(behind.moved[:, 2]) == sign] * [1, sign, sign] for sign in (1, -1))
+    # With 8 iterations of the contact model in place of 5 it is below 0.05.
     assert np.mean([residual(pose, right[np.argmin(residual(right, pose))]) for pose in left[::20]]) < 0.1
 
 
