@@ -14,11 +14,13 @@ motion across it up to the force that turns its swivel. While it turns, its dire
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from shmoo_mjx.arrays import Array, Float, Scalar
 from shmoo_mjx.dynamics import features
@@ -115,6 +117,48 @@ def acceleration(
     Returns:
         Acceleration [m/s^2, m/s^2, rad/s^2], ``[3, ...]``, or ``[K, 3, ...]`` with ``shifts``.
     """
+    return _acceleration(shifts, parameters, inputs, casters)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _acceleration(shifts: tuple[float, ...] | None, parameters: Array, inputs: Array, casters: Array | None) -> Array:
+    return _solved(shifts, parameters, inputs, casters)
+
+
+def _derivative(
+    shifts: tuple[float, ...] | None, primals: tuple[Any, ...], tangents: tuple[Any, ...]
+) -> tuple[Array, Array]:
+    """The derivative of `acceleration`, from the seven columns of its Jacobian that can differ from zero.
+
+    JAX alone would differentiate the solver backwards. This gives the same values, but takes about ten times as long to
+    run and several times as long to compile.
+    """
+    parameters, inputs, casters = primals
+    of_parameters, of_inputs, of_casters = tangents
+    value = _solved(shifts, parameters, inputs, casters)
+    change = jnp.zeros_like(value)
+    if not isinstance(of_inputs, SymbolicZero):
+        where = features.slices(features.OBJECT_INPUTS)
+        rows = np.r_[where["object_twist"], where["wrench"], where["size"]]
+
+        def column(row: Array) -> Array:
+            unit = jnp.zeros_like(inputs).at[row].set(1.0)
+            return jax.jvp(lambda x: _solved(shifts, parameters, x, casters), (inputs,), (unit,))[1]
+
+        columns = jax.vmap(column)(rows)
+        change = change + sum(columns[k] * of_inputs[row] for k, row in enumerate(rows))
+    if not isinstance(of_parameters, SymbolicZero):
+        change += jax.jvp(lambda x: _solved(shifts, x, inputs, casters), (parameters,), (of_parameters,))[1]
+    if not isinstance(of_casters, SymbolicZero | None):
+        change += jax.jvp(lambda x: _solved(shifts, parameters, inputs, x), (casters,), (of_casters,))[1]
+    return value, change
+
+
+_acceleration.defjvp(_derivative, symbolic_zeros=True)
+
+
+def _solved(shifts: tuple[float, ...] | None, parameters: Array, inputs: Array, casters: Array | None) -> Array:
+    """`acceleration` by projected Gauss-Seidel."""
     where = features.slices(features.OBJECT_INPUTS)
     vx, vy, spin = inputs[where["object_twist"]]
     fx, fy, torque = inputs[where["wrench"]]

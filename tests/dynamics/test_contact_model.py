@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -139,6 +140,21 @@ def rates(parameters: jnp.ndarray, casters: np.ndarray, twist: tuple[float, floa
         sideways = -np.sin(angle) * (vx - spin * y) + np.cos(angle) * (vy + spin * x)
         found.append(sideways / contact_model._TRAIL - spin)
     return np.array(found)
+
+
+def test_its_gradient_is_that_of_the_solver() -> None:
+    """Its derivative has a rule of its own. The solver's forward derivative does not use it."""
+    rng = np.random.default_rng(0)
+    swivels = {f"log_swivel_{point}": np.log(0.05) for point in contact_model.POINTS}
+    cart = contact(log_mass=np.log(20.0), friction=(0.02, 0.03), **swivels)
+    turning = jnp.concatenate([inputs((0.2, -0.1, 0.3), (25.0, 8.0, 3.0)), jnp.ones(3)])
+    arguments = cart, turning, jnp.asarray(directions(rng.uniform(-np.pi, np.pi, 4)))
+    shifts = (-0.2, 0.0)
+    solved = jax.jit(jax.jacfwd(partial(contact_model._solved, shifts), (0, 1, 2)))(*arguments)
+    ours = jax.jit(jax.jacrev(lambda p, x, c: contact_model.acceleration(p, x, shifts, c), (0, 1, 2)))(*arguments)
+    for one, other in zip(ours, solved, strict=True):
+        assert np.abs(other).max() > 0.0
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("family", ["cart", "wheelchair"])
