@@ -102,7 +102,7 @@ def _time_over_extra(rows: list[dict[str, Any]]) -> Any:
     )
     axes.set_xscale("log")
     axes.set_xticks([1, 3, 10, 30, nowhere], ["1", "3", "10", "30", "none"])
-    legend_above(figure, 3)
+    legend_above(figure)
     return figure
 
 

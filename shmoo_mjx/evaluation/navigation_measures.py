@@ -111,7 +111,7 @@ def cause_of(result: dict[str, Any], generated: Generated) -> str:
     wrong = _wrong_verdict(result, generated)
     if outcome == "timeout":
         state = result["reason"].rpartition("state ")[2]
-        return f"out of time while to {state}" + (f", and {wrong}" if wrong else "")
+        return f"out of time in state {state}" + (f", and {wrong}" if wrong else "")
     if wrong:
         return wrong
     states = [o["status"] for o in result["objects"]]

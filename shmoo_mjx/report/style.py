@@ -96,9 +96,9 @@ def save_figure(path: Path, figure: Figure, dpi: int = 110) -> Path:
     return write_whole(path, to_png(figure, dpi))
 
 
-def legend_above(figure: Figure, columns: int = 4) -> None:
+def legend_above(figure: Figure) -> None:
     """Add one legend for all panels above them."""
-    figure.legend(loc="outside upper center", ncols=columns, fontsize=8, frameon=False)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
 
 
 def beside(group: Any, k: int, count: int) -> Any:

@@ -323,7 +323,7 @@ class Simulation:
             parts = [PARTS[i] for i in np.flatnonzero(self.world.wall_parts[0])]
             for part in parts:
                 history.wall_parts[part] = history.wall_parts.get(part, 0) + 1
-            text = f"touches a wall with {' and '.join(parts)} while to {self.navigator.mode}"
+            text = f"touches a wall with {' and '.join(parts)} in state {self.navigator.mode}"
             history.touches.append({"t": round(self.time, 2), "what": text})
         history.touching = touching
 

@@ -177,7 +177,7 @@ def run(
         command = navigator.tick(sees(seen))
         happens(world, navigator)
         seen = world.step(command)
-        assert walls.at(world.pose[:2]) > 0.15, f"the robot hits a wall at {world.time:.1f} s while to {navigator.mode}"
+        assert walls.at(world.pose[:2]) > 0.15, f"the robot hits a wall at {world.time:.1f} s in state {navigator.mode}"
     return navigator, world
 
 

@@ -131,7 +131,7 @@ def test_legs_are_measured_one_by_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (metrics["efficiency_goal1"], metrics["efficiency_goal2"]) == (0.5, 1.0)
     assert metrics["wall_contacts_per_100_goals"] == 50.0
     assert result.config["senses"] == "perfect" and "more" not in result.rows[0]["legs"][0]
-    assert "out of time while to push (1)" in (tmp_path / "lifelong" / "failures.md").read_text()
+    assert "out of time in state push (1)" in (tmp_path / "lifelong" / "failures.md").read_text()
     assert "| Share reached, of those begun | 1 | 0.50 |" in render({"lifelong": result}, {})
 
 

@@ -165,7 +165,7 @@ def test_all_policies_run_on_all_scenarios_ours_first(tmp_path: Path, fakes: lis
     assert result.metrics["success_rate"] == 0.5 and result.metrics["baseline_always_push_scenarios"] == 2
     assert result.config["senses"] == "perfect" and result.config["generated_maps"] is True
     assert {r["policy"] for r in result.rows} == set(POLICIES) and "driven" not in result.rows[0]
-    assert "out of time while to push (1)" in (tmp_path / "navigation" / "failures.md").read_text()
+    assert "out of time in state push (1)" in (tmp_path / "navigation" / "failures.md").read_text()
 
 
 def test_the_paper_runs_with_its_own_weights_and_pushing_and_the_others_with_ours(
