@@ -139,6 +139,7 @@ def _derivative(
     change = jnp.zeros_like(value)
     if not isinstance(of_inputs, SymbolicZero):
         where = features.slices(features.OBJECT_INPUTS)
+        # The solver reads no other inputs.
         rows = np.r_[where["object_twist"], where["wrench"], where["size"]]
 
         def column(row: Array) -> Array:
