@@ -149,7 +149,7 @@ def _draw_reliability(axes: Any, rows: Rows, distance: float) -> None:
     for name, colour, marker in (("posterior", SERIES[0], "o"), ("prior", SERIES[5], "s")):
         p, came = (np.array([r[key] for r in rows]) for key in (f"{name}_comes", "comes"))
         draw_reliability(axes, p, came, colour=colour, label=name, marker=marker)
-    axes.set_xlabel(f"predicted probability to come {distance:g} m along the push")
+    axes.set_xlabel(f"predicted probability of {distance:g} m along the push")
     axes.set_ylabel("observed share")
     axes.legend(fontsize=8, title="number of pushes at the points", title_fontsize=8)
     axes.set_title("predicted and observed frequency", fontsize=11)

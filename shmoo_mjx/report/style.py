@@ -125,7 +125,7 @@ def draw_reliability(
     axes.plot((0, 1), (0, 1), color="black", lw=1.0, ls="--")
     axes.plot(predicted, came, marker, color=colour, ms=6, label=label, ls="-", lw=0.8)
     for x, y, part in zip(predicted, came, parts, strict=True):
-        place_of_text = {"xytext": (-7, 6), "ha": "right"} if x > 0.8 else {"xytext": (7, -10)}
+        place_of_text = {"xytext": (-7, -10), "ha": "right"} if x > 0.9 else {"xytext": (7, -10)}
         axes.annotate(str(part.sum()), (x, y), textcoords="offset points", fontsize=8, color=colour, **place_of_text)
 
 
