@@ -75,7 +75,7 @@ def copied(out: Path, picture: Path) -> None:
 PICTURES = {
     "demo.webp": Picture("demo --seed 0 --out OUT", animation("demo-0/episode.mp4", width=800, every=4, fps=10.0)),
     "push.webp": Picture(
-        "push wheelchair --goal 1.5,0,0.5 --set mass=12 --out OUT",
+        "push wheelchair --goal 1.5,0,0.3 --set mass=20 --out OUT",
         animation("episode.mp4", width=640, every=6, fps=8.0),
     ),
     "view.webp": Picture(

@@ -140,7 +140,7 @@ def push(
 ) -> int:
     """Push one object to a goal pose on an open floor, with report and film.
 
-    Example: shmoo push wheelchair --goal 1.5,0,0.5 --set mass=12
+    Example: shmoo push wheelchair --goal 1.5,0,0.3 --set mass=20
 
     Args:
         family: box, cart, wheelchair, or an object file made by shmoo object add. The object starts at 0,0,0.

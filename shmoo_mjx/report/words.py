@@ -202,6 +202,8 @@ def _object_sentence(result: dict[str, Any], item: dict[str, Any]) -> str:
         told = f" (criterion K = {by_k[-1]:.2f} m²)" if by_k and not chances else ""
         told = f": it gave a push a {percent(chances[-1])} chance" if chances else told
         return f"It concluded that {what} can't be moved{told}, and treated it as an obstacle."
+    if moved(item) <= _MOVED and not mine and result.get("push_to") is None:
+        return f"It made no decision about {what}, which never stood in its way."
     if moved(item) <= _MOVED:
         told = f": it estimated a {percent(chances[-1])} chance that it can be moved out of the way" if chances else ""
         return f"It left {what} where it was{told}."

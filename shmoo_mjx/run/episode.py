@@ -264,8 +264,8 @@ def result_of(simulation: Simulation, legs: Sequence[Leg] = (), goals: int = 1) 
                 "options": [
                     {
                         "text": option.text,
-                        "works_s": round(option.works, 1),
-                        "mean_s": round(option.seconds, 1),
+                        "works_s": round(option.works, 2),
+                        "mean_s": round(option.seconds, 2),
                         "probability": round(option.probability, 4),
                     }
                     for option in d.options

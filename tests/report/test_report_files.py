@@ -138,6 +138,15 @@ def test_objects_of_one_family_are_numbered(result: dict[str, Any]) -> None:
     assert words.by_name(result, "object 1 hit object 2: 5%") == "box 2 hit the cart: 5\xa0%"
 
 
+def test_the_summary_says_which_objects_needed_no_decision(result: dict[str, Any]) -> None:
+    item = result["objects"][1] | {"registered": False, "toppled": False}
+    still = item | {"final_pose": item["start_pose"]}
+    mine = [d for d in result["decisions"] if d["object"] == item["id"]]
+    for decisions, told in ((mine, "where it was"), ([], "never stood in its way")):
+        text = words.summary({**result, "objects": [still], "decisions": decisions})
+        assert told in text and "pushed" not in text
+
+
 def test_an_object_is_an_obstacle_only_while_the_robot_takes_it_for_one(result: dict[str, Any]) -> None:
     result["objects"] = [{**item, "id": number} for number, item in enumerate(result["objects"])]
     given_up = "object 1: go round 9 s; registered as an obstacle"
