@@ -27,3 +27,8 @@ def test_the_import_alone_brings_nothing_heavy() -> None:
 def test_what_is_not_offered_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="nothing_of_the_kind"):
         _ = shmoo_mjx.nothing_of_the_kind  # type: ignore[attr-defined]
+
+
+def test_a_file_in_place_of_weights_is_refused() -> None:
+    with pytest.raises(shmoo_mjx.ShmooError, match="load_weights"):
+        shmoo_mjx.PushController("demo.safetensors")  # type: ignore[arg-type]

@@ -99,8 +99,10 @@ def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
             do not come from an earlier run and must not be replaced.
 
     Raises:
-        ShmooError: one of the files may not be written.
+        ShmooError: the folder is a file, or one of the files may not be written.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ShmooError(f"{folder}: is a file; choose a folder for the output.")
     for name, kind in files.items():
         check_output(folder / name, kind)
     for name in files:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing.context import SpawnContext, SpawnProcess
 
 from shmoo_mjx.errors import ShmooError
 
@@ -28,7 +29,7 @@ def process_pool(workers: int, prepare: Callable[[], None] | None = None) -> Ite
         workers: largest number of workers.
         prepare: function that each worker calls before its first job; must be picklable.
     """
-    context = multiprocessing.get_context("spawn")
+    context = _Context()
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(prepare,))
     try:
         yield pool
@@ -65,8 +66,27 @@ def check_forked() -> None:
             )
 
 
+class _Worker(SpawnProcess):
+    """A process that ignores ctrl-C, which is sent to all processes of the terminal. Only the parent handles it."""
+
+    def start(self) -> None:
+        # A new process inherits blocked signals, so not even its imports are interrupted.
+        if os.name != "posix":
+            super().start()
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Context(SpawnContext):
+    Process = _Worker
+
+
 def _begin(prepare: Callable[[], None] | None) -> None:
-    # Ctrl-C is sent to all processes of the terminal. Only the parent handles it.
+    # For systems without signal masks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:

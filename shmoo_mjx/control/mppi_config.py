@@ -27,10 +27,10 @@ class MppiConfig:
     high: tuple[float, ...]
     """Upper bound per channel, in the unit of the control."""
     num_rollouts: int = 500
-    """S, number of roll-outs per plan, at least 3. The first is the nominal, the second is zero control, and the others
-    are sampled. More gives less noisy plans and takes more time."""
+    """S, number of roll-outs per plan, 3 to 100 000. The first is the nominal, the second is zero control, and the
+    others are sampled. More gives less noisy plans and takes more time."""
     horizon: int = 30
-    """T, number of time steps per roll-out. More looks further ahead and takes more time."""
+    """T, number of time steps per roll-out, 1 to 1000. More looks further ahead and takes more time."""
     temperature: float = 0.7
     """lambda, in units of ``cost_scale`` times cost. Lower follows the best roll-outs, higher the mean of all."""
     cost_scale: float = 1.0
@@ -52,10 +52,11 @@ class MppiConfig:
                 raise ShmooError(
                     f"MppiConfig: {name} has {count} entries and sigma {self.controls}; give one per control channel."
                 )
-        for name, least in (("num_rollouts", 3), ("horizon", 1)):
+        # The upper limits are far above what is useful. Much more would need more memory than computers have.
+        for name, least, most in (("num_rollouts", 3, 100_000), ("horizon", 1, 1000)):
             value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or value < least:
-                raise ShmooError(f"MppiConfig: {name} is {value}; give a whole number from {least} on.")
+            if not isinstance(value, int | np.integer) or not least <= value <= most:
+                raise ShmooError(f"MppiConfig: {name} is {value}; give a whole number from {least} to {most}.")
         for name in ("temperature", "cost_scale"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ShmooError(f"MppiConfig: {name} is {getattr(self, name)}; give a finite number above 0.")

@@ -17,6 +17,7 @@ from shmoo_mjx.control import mppi, push_step, sharding
 from shmoo_mjx.control.observation import LocalDistanceField, ObjectObservation
 from shmoo_mjx.control.presets import PushConfig
 from shmoo_mjx.control.push_step import ControllerState, Memory, PushModel, StepInputs
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry.faces import faces_of
 from shmoo_mjx.learning import online
 from shmoo_mjx.learning.online import LearnerState
@@ -34,10 +35,16 @@ class PushController:
     Args:
         weights: trained weights.
         config: settings; by default those for pushing an object aside.
+
+    Raises:
+        ShmooError: ``weights`` is something else, such as the path of a file.
     """
 
     @single_precision
     def __init__(self, weights: Weights, config: PushConfig | None = None) -> None:
+        if not isinstance(weights, Weights):
+            kind = type(weights).__name__
+            raise ShmooError(f"PushController: 'weights' is of type {kind}; give the result of load_weights(FILE).")
         self.config = config or PushConfig()
         self.weights = weights
         mesh = sharding.rollout_mesh(self.config.control.num_rollouts)

@@ -168,14 +168,17 @@ def fit(
         config: settings.
         out_dir: directory of the checkpoint. An interrupted training resumes from it.
         progress: called after each epoch.
+
+    Raises:
+        ShmooError: there is no condition, or the x or y of one is not finite or has an unsuitable shape.
     """
     config = config or DaimlConfig()
     config = replace(
         config, open_loop=False, object=replace(config.object, last_wrench=True, contact_model=False, equivariant=False)
     )
-    return fit_samples(
-        samples_from_arrays(train), samples_from_arrays(validation), config, out_dir=out_dir, progress=progress
-    )
+    samples = samples_from_arrays(train)
+    held_out = samples_from_arrays(validation, (samples.inputs.shape[-1], samples.labels.shape[-1]))
+    return fit_samples(samples, held_out, config, out_dir=out_dir, progress=progress)
 
 
 @single_precision

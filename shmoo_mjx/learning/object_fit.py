@@ -17,6 +17,7 @@ from shmoo_mjx.dynamics.object_model import ObjectConfig, ObjectParams
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.learning import estimate, least_squares, serialisation
 from shmoo_mjx.learning.estimate import EstimateConfig
+from shmoo_mjx.learning.samples import checked_pair, checked_rows
 
 _ARRAYS = ("params", "prior_mean", "prior_covariance", "noise", "contact_prior")
 
@@ -55,9 +56,7 @@ class ObjectFit(NamedTuple):
         Raises:
             ShmooError: x or y is not finite, or its shape differs from the training.
         """
-        x, y = self._checked("x", x, self._inputs()), self._checked("y", y, len(self.params.label_scale))
-        if len(x) != len(y) or not len(x):
-            raise ShmooError(f"adapt: x has {len(x)} rows and y {len(y)}; give as many of each, and at least one.")
+        x, y = map(jnp.asarray, checked_pair("adapt", x, y, (self._inputs(), len(self.params.label_scale))))
         prior = self.contact_prior
         if self.config.contact_model:
             after = estimate.after_rows(EstimateConfig(), prior, self.params.label_scale, (x, y, jnp.ones(len(x))))
@@ -76,7 +75,7 @@ class ObjectFit(NamedTuple):
         Raises:
             ShmooError: x is not finite, or its shape differs from the training.
         """
-        x = self._checked("x", x, self._inputs())
+        x = jnp.asarray(checked_rows("predict: x", x, self._inputs()))
         return np.asarray(object_model.predict(self.params, self.prior_mean, x, self.config, contact=self._contact()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -91,14 +90,6 @@ class ObjectFit(NamedTuple):
 
     def _contact(self) -> Array:
         return jnp.mean(jnp.asarray(self.contact_prior), axis=0)
-
-    def _checked(self, name: str, values: Any, width: int) -> Array:
-        numbers = np.asarray(values, np.float32)
-        if numbers.ndim != 2 or numbers.shape[1] != width:
-            raise ShmooError(f"{name}: the array has shape {numbers.shape}; give [N, {width}], as in training.")
-        if not np.isfinite(numbers).all():
-            raise ShmooError(f"{name}: not all numbers are finite; leave those rows out.")
-        return jnp.asarray(numbers)
 
 
 @single_precision

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import numpy as np
 from shmoo_mjx.arrays import Array, Float, Int, Key, single_precision
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import features
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 
 
@@ -75,15 +76,65 @@ def samples_from_dataset(dataset: store.Dataset) -> Samples:
     return _stack(inputs, labels, weights, runs)
 
 
-def samples_from_arrays(data: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]]) -> Samples:
-    """Samples from arrays {condition: (x, y)}. The conditions can have different numbers of samples."""
-    pairs = [(np.asarray(x), np.asarray(y)) for x, y in data.values()]
+def samples_from_arrays(
+    data: Mapping[str, tuple[Float[Array, "_N n_in"], Float[Array, "_N m"]]],
+    widths: tuple[int | None, int | None] = (None, None),
+) -> Samples:
+    """Samples from arrays {condition: (x, y)}. The conditions can have different numbers of samples.
+
+    Args:
+        data: inputs and labels of each condition.
+        widths: required n_in and m; those of the first condition if None.
+
+    Raises:
+        ShmooError: there is no condition, or `checked_pair` refuses one.
+    """
+    if not data:
+        raise ShmooError("train or validation has no condition; give at least one of each, as {condition: (x, y)}.")
+    pairs = []
+    for condition, (x, y) in data.items():
+        pairs.append(checked_pair(f"condition {condition!r}", x, y, widths))
+        widths = pairs[-1][0].shape[1], pairs[-1][1].shape[1]
     return _stack(
         [x for x, _ in pairs],
         [y for _, y in pairs],
         [np.ones(len(x)) for x, _ in pairs],
         [len(x) - np.arange(len(x)) for x, _ in pairs],
     )
+
+
+def checked_pair(
+    name: str, x: Any, y: Any, widths: tuple[int | None, int | None]
+) -> tuple[Float[np.ndarray, "N n_in"], Float[np.ndarray, "N m"]]:
+    """Inputs and labels of the same samples, as `checked_rows` with ``widths``.
+
+    Raises:
+        ShmooError: x and y have different numbers of rows, or none, or `checked_rows` refuses one of them.
+    """
+    x, y = checked_rows(f"{name}: x", x, widths[0]), checked_rows(f"{name}: y", y, widths[1])
+    if len(x) != len(y) or not len(x):
+        raise ShmooError(f"{name}: x has {len(x)} rows and y {len(y)}; give as many of each, and at least one.")
+    return x, y
+
+
+def checked_rows(name: str, values: Any, width: int | None) -> Float[np.ndarray, "N n"]:
+    """``values`` in single precision, with one row per sample and ``width`` columns, or any number if None.
+
+    Raises:
+        ShmooError: the shape is another, or not all values are finite numbers.
+    """
+    try:
+        numbers = np.asarray(values, np.float32)
+    except (TypeError, ValueError):
+        raise ShmooError(f"{name}: is no array of numbers; give one row of numbers per sample.") from None
+    if numbers.ndim != 2 or width not in (None, numbers.shape[1]):
+        raise ShmooError(
+            f"{name}: the array has shape {numbers.shape}; give [N, {width or 'n'}], with one row per sample and the "
+            "same columns in all."
+        )
+    if not np.isfinite(numbers).all():
+        raise ShmooError(f"{name}: not all numbers are finite; leave those rows out.")
+    return numbers
 
 
 def label_scale(samples: Samples) -> Float[np.ndarray, "m"]:

@@ -37,7 +37,11 @@ _MAP_SAVER_UNKNOWN = 205
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
-    """A map of square cells. Only cells that are exactly FREE may be driven on."""
+    """A map of square cells. Only cells that are exactly FREE may be driven on.
+
+    Raises:
+        ShmooError: the cells or the resolution are invalid.
+    """
 
     cells: Int[np.ndarray, "H W"]
     """int8, row 0 at the bottom: FREE 0, OCCUPIED 100, UNKNOWN -1, intermediate values 1..99."""
@@ -47,6 +51,23 @@ class OccupancyGrid:
     """Pose (x, y, yaw) in {W} of the map's lower-left corner [m, m, rad]."""
     source: str | None = None
     """The YAML file of the map, if any."""
+
+    def __post_init__(self) -> None:
+        cells, name, fault = np.asarray(self.cells), self.source or "OccupancyGrid", ""
+        if cells.ndim != 2 or not cells.size or not np.issubdtype(cells.dtype, np.integer):
+            fault = f"is an array of shape {cells.shape} and type {cells.dtype}"
+        elif cells.min() < UNKNOWN or cells.max() > OCCUPIED:
+            fault = f"has values from {cells.min()} to {cells.max()}"
+        elif cells.max() == 1:  # almost certainly a mask of the walls, and 1 is no wall here
+            fault = "has no value above 1"
+        if fault:
+            raise ShmooError(
+                f"{name}: 'cells' {fault}; give a 2-D array of whole numbers in which {OCCUPIED} is occupied, {FREE} "
+                f"is free and {UNKNOWN} is unknown."
+            )
+        if not 0 < self.resolution < np.inf:
+            raise ShmooError(f"{name}: 'resolution' is {self.resolution}; give the side of a cell [m], above 0.")
+        object.__setattr__(self, "cells", cells.astype(np.int8, copy=False))
 
     @property
     def free(self) -> Bool[np.ndarray, "H W"]:

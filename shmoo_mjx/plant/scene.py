@@ -11,6 +11,7 @@ import numpy as np
 
 from shmoo_mjx.arrays import Array, Float, Int
 from shmoo_mjx.base.assets import asset
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.geometry.hands import TUCKED_HEIGHT, TUCKED_REACH, hand_targets
 from shmoo_mjx.plant.condition import Condition
@@ -133,7 +134,14 @@ def build_scene(
             an object. In all other situations the physics is the same.
         robot: robot, by default Shmoobot.
         adjust: function that changes the MJCF in place before it is compiled (used by plant/perturbation.py).
+
+    Raises:
+        ShmooError: a pose is not three finite numbers.
     """
+    poses = {"robot_pose": robot_pose} | {f"the pose of objects[{i}]": pose for i, (_, pose) in enumerate(objects)}
+    for name, pose in poses.items():
+        if np.shape(pose) != (3,) or not np.isfinite(pose).all():
+            raise ShmooError(f"build_scene: {name} is {pose}; give three finite numbers, x, y [m] and yaw [rad].")
     framed, robot = engine == "mjx", robot or shmoobot()
     boxes = np.array(walls, dtype=float).reshape(-1, 4)
     spec = mujoco.MjSpec.from_file(str(asset("models_xml/scene.xml")))

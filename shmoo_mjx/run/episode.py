@@ -19,7 +19,7 @@ from shmoo_mjx.control.pushing import PushController
 from shmoo_mjx.geometry import se2
 from shmoo_mjx.learning.contact_prior import true_values
 from shmoo_mjx.planning.maps import OccupancyGrid
-from shmoo_mjx.planning.scenario import Scenario
+from shmoo_mjx.planning.scenario import Scenario, check_point
 from shmoo_mjx.plant.observe import DIVERGED, toppled
 from shmoo_mjx.plant.scene import Scene
 from shmoo_mjx.report.trace import Trace
@@ -89,9 +89,14 @@ def run_episode(
             world and keeps its belief. The time limit applies to the sum.
         real_time: run against the wall clock. A command takes effect after its real computing time.
         policy: "package.module:Name" of a policy that replaces the navigator (docs/how_to/policy.md).
+
+    Raises:
+        ShmooError: a goal lies off the map or not on free floor, or there is no such sensing or policy.
     """
-    chosen = senses if isinstance(senses, Senses) else senses_named(senses or scenario.senses or "real")
+    chosen = senses_named(senses or scenario.senses or "real")
     ahead = [tuple(goal) for goal in goals] or [scenario.goal]
+    for goal in ahead:
+        check_point(grid, goal, 0.0, "run_episode: the goal")
     first = scenario.model_copy(update={"goal": ahead[0]})
     legs: list[Leg] = []
     with closing(

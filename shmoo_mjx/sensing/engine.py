@@ -89,7 +89,7 @@ class SensedEngine:
 
     Args:
         scenes: one per world, built with ``adjust=senses.adjust(seed)``.
-        senses: sensing settings, such as REAL or PERFECT.
+        senses: sensing settings, such as REAL or PERFECT, or their name.
         seed: seed of the robot (body, delays, drift) and of all noise, one for all worlds or one per world. The result
             for a world does not depend on the other worlds of the batch. Worlds with the same seed have the same robot
             and different noise.
@@ -102,7 +102,7 @@ class SensedEngine:
     def __init__(
         self,
         scenes: Sequence[Scene],
-        senses: Senses = sensing.REAL,
+        senses: str | Senses = sensing.REAL,
         seed: SupportsIndex | Sequence[SupportsIndex] = 0,
         *,
         gains: Gains | None = None,
@@ -110,11 +110,11 @@ class SensedEngine:
         poses_known: bool = False,
         backend: Any = None,
     ) -> None:
+        self.senses, self.poses_known = sensing.senses_named(senses), poses_known
         self.engine = backend or MujocoEngine(scenes, gains, threads)
-        self.senses, self.poses_known = senses, poses_known
         self.seeds = [operator.index(one) for one in np.broadcast_to(np.asarray(seed), len(scenes))]
         self._entropy = _entropies(self.seeds)
-        self._drawn = sensing.draw(senses, self.seeds)
+        self._drawn = sensing.draw(self.senses, self.seeds)
         self._use(scenes)
 
     def __enter__(self) -> SensedEngine:

@@ -94,12 +94,14 @@ PERFECT = Senses(
 """Perfect sensing with the nominal body: true poses of objects within 3.5 m in all directions and not behind a wall."""
 
 
-def senses_named(name: str) -> Senses:
-    """The shipped sensing settings with this name: "real" or "perfect".
+def senses_named(name: str | Senses) -> Senses:
+    """The shipped sensing settings with this name: "real" or "perfect". Custom settings are returned unchanged.
 
     Raises:
         ShmooError: the name is unknown.
     """
+    if isinstance(name, Senses):
+        return name
     named = {s.name: s for s in (REAL, PERFECT)}
     if name not in named:
         raise ShmooError(f"senses {name!r} are unknown; choose real or perfect.")

@@ -122,3 +122,5 @@ def test_a_folder_without_the_mark_of_an_earlier_output_is_somebody_elses(tmp_pa
         check_folder(tmp_path, files, "trace.npz")
     write_arrays(tmp_path / "trace.npz", {"t": np.zeros(3)})
     check_folder(tmp_path, files, "trace.npz")
+    with pytest.raises(ShmooError, match=r"readme\.txt: is a file"):
+        check_folder(tmp_path / "readme.txt", files, "trace.npz")

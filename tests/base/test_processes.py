@@ -65,6 +65,14 @@ def test_an_error_in_a_worker_comes_through() -> None:
         pool.submit(_fail, "this one").result()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs signal masks")
+def test_a_worker_is_deaf_to_ctrl_c_from_its_start() -> None:
+    """A mask that is set before the worker exists. The parent's own stays as it was."""
+    with process_pool(1) as pool:
+        assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
 FORKED = """
 import sys
 import gymnasium

@@ -89,6 +89,12 @@ def test_the_page_s_policies_reach_the_goal(controller: PushController) -> None:
     assert np.linalg.norm(np.subtract(result["objects"][0]["final_pose"], box.pose)[:2]) < 0.01
 
 
+@pytest.mark.parametrize(("goal", "told"), [((9.0, 1.5), "off the map"), ((3.5, 0.05), "inside a wall")])
+def test_a_goal_where_no_floor_is_is_refused(controller: PushController, goal: tuple[float, float], told: str) -> None:
+    with pytest.raises(ShmooError, match=f"goal .* lies {told}"):
+        run_episode(room(), scenario(), controller, goals=[(3.5, 1.5), goal])
+
+
 def test_who_stops_elsewhere_has_not_arrived(controller: PushController) -> None:
     assert run(controller, "bad:StopsAtOnce")["outcome"] == "stopped short"
 

@@ -10,6 +10,7 @@ import pytest
 
 from shmoo_mjx.data import store
 from shmoo_mjx.dynamics import ObjectConfig, contact_model, object_model
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation import scoring
 from shmoo_mjx.evaluation.baselines.adaptive import from_fit, prior_of
 from shmoo_mjx.evaluation.baselines.protocol import recordings
@@ -153,3 +154,25 @@ def test_any_arrays_will_do() -> None:
     fitted = daiml.fit(train, {"v": condition(90), "w": condition(60)}, config)
     assert fitted.prior_mean.shape == (2, 3)
     assert fitted.score < 0.2
+
+
+X, Y = np.ones((9, 4)), np.ones((9, 2))
+
+
+@pytest.mark.parametrize(
+    ("train", "validation", "told"),
+    [
+        ({}, {}, "no condition"),
+        ({"a": (X, Y)}, {}, "no condition"),
+        ({"a": (X, Y), "b": (X, Y[:8])}, {"v": (X, Y)}, "'b': x has 9 rows and y 8"),
+        ({"a": (X[:0], Y[:0])}, {"v": (X, Y)}, "'a': x has 0 rows"),
+        ({"a": (X[:, 0], Y)}, {"v": (X, Y)}, r"'a': x: .*\(9,\); give \[N, n\]"),
+        ({"a": (X, Y), "b": (X[:, :3], Y)}, {"v": (X, Y)}, r"'b': x: .*\(9, 3\); give \[N, 4\]"),
+        ({"a": (X, Y)}, {"v": (X, Y[:, :1])}, r"'v': y: .*\(9, 1\); give \[N, 2\]"),
+        ({"a": (X, Y * np.nan)}, {"v": (X, Y)}, "'a': y: not all numbers are finite"),
+        ({"a": (X, [[1.0], [1.0, 2.0]])}, {"v": (X, Y)}, "'a': y: is no array of numbers"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(train: dict, validation: dict, told: str) -> None:
+    with pytest.raises(ShmooError, match=told):
+        daiml.fit(train, validation, SMALL)

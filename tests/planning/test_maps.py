@@ -320,3 +320,22 @@ def test_a_point_that_no_integer_holds_is_off_the_map_without_a_warning() -> Non
         warnings.simplefilter("error")
         for far in (1e308, -1e308, 1e30):
             assert not grid.inside(grid.world_to_cell(np.array([far, 0.0])))
+
+
+@pytest.mark.parametrize(
+    ("cells", "resolution", "told"),
+    [
+        (np.eye(3, dtype=bool), 0.05, "type bool"),
+        (np.eye(3, dtype=np.int8), 0.05, "no value above 1"),
+        (100 * np.eye(3), 0.05, "type float64"),
+        (500 * np.eye(3, dtype=int), 0.05, "from 0 to 500"),
+        (-2 * np.eye(3, dtype=int), 0.05, "from -2 to 0"),
+        (np.zeros(3, np.int8), 0.05, r"shape \(3,\)"),
+        (np.zeros((0, 3), np.int8), 0.05, r"shape \(0, 3\)"),
+        *((np.zeros((3, 3), np.int8), resolution, "'resolution'") for resolution in (0.0, -0.05, np.nan, np.inf)),
+    ],
+)
+def test_cells_and_resolutions_that_mean_nothing_are_refused(cells: np.ndarray, resolution: float, told: str) -> None:
+    with pytest.raises(ShmooError, match=told) as error:
+        OccupancyGrid(cells, resolution)
+    assert told == "'resolution'" or "100 is occupied, 0 is free and -1 is unknown" in str(error.value)

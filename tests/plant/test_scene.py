@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
+from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.geometry.hands import HAND_HEIGHT, REACH, TUCKED_HEIGHT, TUCKED_REACH
 from shmoo_mjx.plant.engine_mujoco import MujocoEngine
 from shmoo_mjx.plant.objects import draw_condition
@@ -27,6 +29,14 @@ def test_everything_starts_where_it_was_put() -> None:
     np.testing.assert_allclose(seen.robot_pose[0], (0.5, -0.3, 2.0), atol=1e-12)
     np.testing.assert_allclose(seen.object_pose[0], [pose for _, pose in OBJECTS], atol=1e-12)
     engine.close()
+
+
+@pytest.mark.parametrize("pose", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (1.0, 2.0)])
+def test_a_pose_that_is_not_three_numbers_is_refused(pose: tuple[float, ...]) -> None:
+    with pytest.raises(ShmooError, match="robot_pose"):
+        build_scene(robot_pose=pose)
+    with pytest.raises(ShmooError, match=r"objects\[1\]"):
+        build_scene([OBJECTS[0], (OBJECTS[1][0], pose)])
 
 
 def test_what_has_fallen_over_is_told_from_what_stands_or_has_turned() -> None:

@@ -361,6 +361,11 @@ def test_names_of_senses() -> None:
     assert senses_named("real") is REAL and senses_named("perfect") is PERFECT
     with pytest.raises(ShmooError, match="choose real or perfect"):
         senses_named("good")
+    scene = build_scene([(BOX, AHEAD)])
+    with SensedEngine([scene], "perfect") as engine:
+        assert engine.senses is PERFECT
+    with pytest.raises(ShmooError, match="choose real or perfect"):
+        SensedEngine([scene], "good")
     with pytest.raises(ShmooError, match="computing"):
         dataclasses.replace(REAL, computing=-1.0)
 
