@@ -316,9 +316,11 @@ def train(
         form: shape of the network: ours, or paper (as the paper prints it).
     """
     from shmoo_mjx.base import progress
+    from shmoo_mjx.base.guard import WEIGHTS, check_output
     from shmoo_mjx.learning.train import train_part
 
     target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
+    check_output(target, WEIGHTS)
     with progress.training(what) as report:
         score = train_part(what, data, target, seed=seed, progress=report, quick=quick, form=form)
     print(f"{target}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
@@ -344,11 +346,14 @@ def map_(
         out: PNG file to write (default: NAME_free_space.png in the current folder).
         radius: radius of the robot [m].
     """
+    from shmoo_mjx.base.guard import PNG, check_output
     from shmoo_mjx.planning.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
+    target = out or Path(f"{map.stem}_free_space.png")
+    check_output(target, PNG, ".png")
     grid = load_map(map)
-    print(draw_map(grid, radius, out or Path(f"{map.stem}_free_space.png")))
+    print(draw_map(grid, radius, target))
     if count := count_free_unknown(map):
         area = count * grid.resolution**2
         print(
