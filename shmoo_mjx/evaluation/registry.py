@@ -43,7 +43,7 @@ OPTIONS = {
     "minutes": ("soak",),
     "buildings": ("soak",),
 }
-"""Options that only some experiments take, and these experiments. ``all`` also takes those of the experiments it runs."""
+"""Options that only some experiments take, and these experiments. ``all`` also takes those of what it runs."""
 
 
 @cache
