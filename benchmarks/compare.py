@@ -78,7 +78,7 @@ def compare_files(files: Sequence[Path], ratios: bool = False) -> tuple[str, boo
 def _read(path: Path) -> ExperimentResult:
     if not path.exists():
         raise ShmooError(f"{path}: does not exist; give a file that shmoo bench wrote.")
-    result = read_result(path)
+    result = read_result(path, "shmoo bench")
     if not result.experiment.startswith("bench_") or "machine" not in result.config:
         raise ShmooError(f"{path}: is no benchmark's result with its machine; give a file that shmoo bench wrote.")
     return result

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
+from shutil import which
 from typing import Any
 
 from shmoo_mjx.arrays import single_precision
+from shmoo_mjx.base.guard import EXPERIMENT, check_output
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.evaluation.result import ExperimentOptions, ExperimentResult, make_result, table, write_result
 
@@ -38,6 +40,12 @@ class BenchOptions:
     """Called with (stage, fraction done)."""
     maps: Path | None = None
     """Folder of map_server maps, for the benchmark navigation."""
+
+    def __post_init__(self) -> None:
+        if self.peers_python is not None and which(self.peers_python) is None:
+            raise ShmooError(
+                f"--peers-python {self.peers_python}: is no program; give the path of a Python interpreter."
+            )
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,8 @@ def run_all(options: BenchOptions, out: Path) -> ExperimentResult:
         One result of all benchmarks. The name of a metric starts with that of its benchmark.
     """
     every, settings = Measured({}, []), dict[str, Any]()
+    for name in BENCHMARKS:
+        check_output(out / f"bench_{name}.json", EXPERIMENT)
     for done, name in enumerate(BENCHMARKS):
 
         def report(stage: str, fraction: float, name: str = name, done: int = done) -> None:

@@ -230,7 +230,7 @@ def report(
     source: Positional[Path],
     *,
     size: tuple[bounded.Side, bounded.Side] | None = None,
-    out: Path = Path("runs/report"),
+    out: Path | None = None,
     weights: Path | None = None,
 ) -> int:
     """Write a report on a recording of your own robot: the object's estimated properties, and whether it can be moved.
@@ -241,10 +241,16 @@ def report(
         source: CSV or Parquet file (docs/how_to/recording.md lists its columns), or the folder of a run, whose report
             is written again.
         size: length and width of the object's footprint [m]; required for a recording.
-        out: folder for report.html, result.json and trace.npz.
-        weights: file with trained weights; they hold the prior over objects (default: the shipped ones).
+        out: for a recording: folder for report.html, result.json and trace.npz (default: runs/report).
+        weights: for a recording: file with trained weights; they hold the prior over objects (default: the shipped
+            ones).
     """
+    if not source.exists():
+        raise ShmooError(f"{source}: there is no such file or folder; give a recording, or the folder of a run.")
     if source.is_dir():
+        for option, value in {"--size": size, "--out": out, "--weights": weights}.items():
+            if value is not None:
+                raise ShmooError(f"{option} is for a recording alone; leave it out for the folder of a run.")
         from shmoo_mjx.report.html import write_report
 
         print(write_report(source))
@@ -255,7 +261,7 @@ def report(
     from shmoo_mjx.learning.weights import load_weights
     from shmoo_mjx.run.custom_log import write_run
 
-    print(write_run(source, size, out, load_weights(weights or asset(WEIGHTS))))
+    print(write_run(source, size, out or Path("runs/report"), load_weights(weights or asset(WEIGHTS))))
     return 0
 
 
@@ -316,9 +322,11 @@ def train(
         form: shape of the network: ours, or paper (as the paper prints it).
     """
     from shmoo_mjx.base import progress
+    from shmoo_mjx.base.guard import WEIGHTS, check_output
     from shmoo_mjx.learning.train import train_part
 
     target = out or Path("weights-quick.safetensors" if quick else "weights.safetensors")
+    check_output(target, WEIGHTS)
     with progress.training(what) as report:
         score = train_part(what, data, target, seed=seed, progress=report, quick=quick, form=form)
     print(f"{target}: {what} model, fraction of variance unexplained on validation conditions {score:.3f}")
@@ -344,11 +352,14 @@ def map_(
         out: PNG file to write (default: NAME_free_space.png in the current folder).
         radius: radius of the robot [m].
     """
+    from shmoo_mjx.base.guard import PNG, check_output
     from shmoo_mjx.planning.maps import count_free_unknown, load_map
     from shmoo_mjx.report.map_picture import draw_map
 
+    target = out or Path(f"{map.stem}_free_space.png")
+    check_output(target, PNG, ".png")
     grid = load_map(map)
-    print(draw_map(grid, radius, out or Path(f"{map.stem}_free_space.png")))
+    print(draw_map(grid, radius, target))
     if count := count_free_unknown(map):
         area = count * grid.resolution**2
         print(
@@ -494,7 +505,7 @@ def experiment(
     weights: Path | None = None,
     pushes: Path | None = None,
     out: Path = Path("runs/experiments"),
-    senses: bounded.Senses = "real",
+    senses: bounded.Senses | None = None,
     runs: bounded.Runs | None = None,
     only: tuple[str, ...] = (),
     minutes: bounded.Minutes | None = None,
@@ -519,15 +530,16 @@ def experiment(
         quick: short form of the same shape.
         data: data set of experiments that use one, made if absent. For real_pushing: folder of recorded pushes.
         maps: folder with map_server maps, for navigation and lifelong (default: generated buildings).
-        scenarios: for navigation: number of scenarios per map, or a scenario set in place of maps (a file made by
-            shmoo scenarios make, or a shipped set: arena, floor_plans).
+        scenarios: for navigation and lifelong: number of scenarios per map. For navigation, also a scenario set in
+            place of maps (a file made by shmoo scenarios make, or a shipped set: arena, floor_plans).
         policies: names of policies (navigation, lifelong) or pushing controllers (pushing) to compare (default: all,
             for lifelong only ours; shmoo list policies, shmoo list controllers). Navigation and pushing also take your
             own, as package.module:Name.
         weights: file with trained weights (default: the shipped ones).
         pushes: folder of recorded pushes, for real_pushing as a part of all.
         out: folder for figures and intermediate results.
-        senses: real (simulated camera, odometry and joint torques) or perfect (ground truth of the simulator).
+        senses: real (simulated camera, odometry and joint torques; the default) or perfect (ground truth of the
+            simulator).
         runs: for faults: runs per fault (default: 20, or 1 with --quick).
         only: for faults: names of the faults to run (default: all; shmoo list faults).
         minutes: for soak: simulated time per building [min] (default: 60, or 2 with --quick).
@@ -536,17 +548,17 @@ def experiment(
     """
     from shmoo_mjx.base import progress
     from shmoo_mjx.base.guard import EXPERIMENT, check_output
-    from shmoo_mjx.evaluation.registry import experiment_named, run_experiment
+    from shmoo_mjx.evaluation.registry import check_options, experiment_named, run_experiment
     from shmoo_mjx.evaluation.result import ExperimentOptions, table, write_result
 
     target = json or out / f"{name}.json"
     check_output(target, EXPERIMENT)
-    own = {"runs": ("faults", runs), "only": ("faults", only or None), "minutes": ("soak", minutes),
-           "buildings": ("soak", buildings)}  # fmt: skip
-    for option, (user, value) in own.items():
-        if value is not None and name != user:
-            raise ShmooError(f"--{option} is for shmoo experiment {user} alone; leave it out.")
-    sizes = {option: value for option, (_, value) in own.items() if value is not None}
+    first_seed = 0 if name == "all" else experiment_named(name).first_seed
+    sizes = {"runs": runs, "only": only or None, "minutes": minutes, "buildings": buildings}
+    others = {"data": data, "maps": maps, "scenarios": scenarios, "policies": policies or None, "pushes": pushes,
+              "weights": weights, "senses": senses}  # fmt: skip
+    check_options(name, [option for option, value in (others | sizes).items() if value is not None])
+    sizes = {option: value for option, value in (sizes | {"workers": workers}).items() if value is not None}
     count, scenario_set = (None, scenarios) if isinstance(scenarios, Path) else (scenarios, None)
     if scenario_set is not None:
         from shmoo_mjx.evaluation.scenario_set import find_set
@@ -556,7 +568,7 @@ def experiment(
         scenario_set = find_set(scenario_set)
     with progress.stages() as report:
         options = ExperimentOptions(
-            seed=(0 if name == "all" else experiment_named(name).first_seed) if seed is None else seed,
+            seed=first_seed if seed is None else seed,
             condition_seed=condition_seed,
             quick=quick,
             data=data,
@@ -566,9 +578,9 @@ def experiment(
             weights=weights,
             out=out,
             progress=report,
-            senses=senses,
+            senses=senses or "real",
             policies=policies,
-            sizes=sizes if workers is None else sizes | {"workers": workers},
+            sizes=sizes,
         )
         if name == "all":
             from shmoo_mjx.evaluation.everything import run_all

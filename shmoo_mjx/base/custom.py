@@ -21,9 +21,11 @@ def named(kind: str, name: str) -> Callable[..., Any]:
         name: "package.module:Name".
 
     Raises:
-        ShmooError: the class or function does not exist, or its module can't be imported.
+        ShmooError: ``name`` has another form, the class or function does not exist, or its module can't be imported.
     """
     module_name, _, attribute = name.partition(":")
+    if not (module_name and attribute):
+        raise ShmooError(f"{kind} {name}: is no class or function; give it as package.module:Name.")
     if str(Path.cwd()) not in sys.path:
         sys.path.append(str(Path.cwd()))
     try:

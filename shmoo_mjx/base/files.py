@@ -55,7 +55,7 @@ def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
 
     Raises:
         OSError: writing failed; its filename is ``path``.
-        ShmooError: ``path`` is an input or a file of another kind.
+        ShmooError: ``path`` is a folder, an input or a file of another kind.
     """
     path = Path(path)
     check_output(path)

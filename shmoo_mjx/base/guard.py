@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from shmoo_mjx.errors import ShmooError
 
@@ -26,6 +27,7 @@ RUN = "the result of a run"
 RECORDING = "the result of a recording"
 EXPERIMENT = "the result of an experiment"
 SCENARIO_SET = "a scenario set"
+OBJECT = "an object file"
 SWEEP = "the notes of a sweep"
 
 _MAGIC = {
@@ -42,7 +44,7 @@ _YAML_KEYS = {"image": MAP, "start": SCENARIO}
 _JSON_KEYS = {
     "experiment": EXPERIMENT,
     "outcome": RUN,
-    "hull": "an object file",
+    "hull": OBJECT,
     "scenarios": SCENARIO_SET,
     "fingerprint": SWEEP,
     "conditions": "the manifest of a data set",
@@ -67,26 +69,37 @@ def protected(inputs: Iterable[str | Path]) -> Iterator[None]:
         _INPUTS.reset(token)
 
 
-def check_output(path: str | Path, kind: str = "") -> None:
-    """Check that ``path`` may be written.
+def check_output(path: str | Path, kind: str = "", suffix: str = "") -> None:
+    """Check that ``path`` may and can be written.
 
     Args:
         path: file to write; it need not exist.
         kind: kind of the new content, as returned by `kind_of`; empty to skip the check of the kind.
+        suffix: suffix that the name must have; empty to allow any.
 
     Raises:
-        ShmooError: the file is an input, or it is not empty and of another kind.
+        OSError: no file can be created there; its filename is ``path``.
+        ShmooError: the file is a folder or an input, has another suffix, or is not empty and of another kind.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ShmooError(f"{path}: is a folder; give the name of a file for the output.")
+    if not path.name.endswith(suffix):
+        raise ShmooError(f"{path}: must end in {suffix}; choose another name for the output.")
     identity = _identity(path)
-    if identity is None:
-        return
-    if identity in _INPUTS.get():
+    if identity is not None and identity in _INPUTS.get():
         read = _INPUTS.get()[identity]
         which = "" if read == path else f"{read}, "
         raise ShmooError(f"{path}: is {which}an input of this command; choose another place for the output.")
     if kind and path.is_file() and path.stat().st_size and (there := kind_of(path)) != kind:
         raise ShmooError(f"{path}: is {there}, which {kind} would replace; choose another place for the output.")
+    existing = next((parent for parent in path.parents if parent.exists()), path.parent)
+    try:
+        # Permissions do not tell: root may write everywhere, but not into /proc.
+        with TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
 
 
 def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
@@ -99,7 +112,8 @@ def check_folder(folder: Path, files: Mapping[str, str], mark: str) -> None:
             do not come from an earlier run and must not be replaced.
 
     Raises:
-        ShmooError: the folder is a file, or one of the files may not be written.
+        OSError, ShmooError: the folder is a file, or one of the files may not or can not be written, see
+            `check_output`.
     """
     if folder.exists() and not folder.is_dir():
         raise ShmooError(f"{folder}: is a file; choose a folder for the output.")

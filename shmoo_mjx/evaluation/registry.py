@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -28,6 +29,21 @@ EXPERIMENTS = {
 """Name to module, in the order of the page."""
 RELIABILITY = {"faults": "shmoo_mjx.evaluation.faults", "soak": "shmoo_mjx.evaluation.soak"}
 """Experiments for developers. ``shmoo experiment all`` does not run them."""
+_DRIVES = ("navigation", "lifelong", "pushing", "object_planner", "outcomes", "estimate", "robot_finetune")
+OPTIONS = {
+    "weights": (*_DRIVES, *RELIABILITY),
+    "senses": _DRIVES,
+    "data": ("object_model", "baselines", "ablations", "real_pushing"),
+    "maps": ("navigation", "lifelong"),
+    "scenarios": ("navigation", "lifelong"),
+    "policies": ("navigation", "lifelong", "pushing"),
+    "pushes": ("all",),
+    "runs": ("faults",),
+    "only": ("faults",),
+    "minutes": ("soak",),
+    "buildings": ("soak",),
+}
+"""Options that only some experiments take, and these experiments. ``all`` also takes those of what it runs."""
 
 
 @cache
@@ -42,6 +58,18 @@ def experiment_named(name: str) -> Experiment[Any]:
         raise ShmooError(f"experiment {name!r} is not known; choose one of {', '.join(modules)}.")
     experiment: Experiment[Any] = import_module(modules[name]).EXPERIMENT
     return experiment
+
+
+def check_options(name: str, given: Iterable[str]) -> None:
+    """Check that the experiment, or ``all``, takes the ``given`` ones of `OPTIONS`.
+
+    Raises:
+        ShmooError: it does not take one of them.
+    """
+    for option in given:
+        users = OPTIONS[option]
+        if name not in users and not (name == "all" and set(users) & set(EXPERIMENTS)):
+            raise ShmooError(f"--{option} is for shmoo experiment {' or '.join(users)} alone; leave it out.")
 
 
 @single_precision

@@ -186,8 +186,12 @@ def write_result(path: Path, result: ExperimentResult) -> None:
     write_whole(path, as_json(result))
 
 
-def read_result(path: Path) -> ExperimentResult:
+def read_result(path: Path, command: str = "shmoo experiment --json") -> ExperimentResult:
     """Read a result from its JSON file, compressed or not.
+
+    Args:
+        path: the file.
+        command: command that writes such files, for the error message.
 
     Raises:
         ShmooError: the file is not a result.
@@ -197,11 +201,11 @@ def read_result(path: Path) -> ExperimentResult:
         text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
         return ExperimentResult.model_validate(json.loads(text))
     except (json.JSONDecodeError, UnicodeDecodeError, EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise ShmooError(f"{path}: is not JSON ({error}); give a file that shmoo experiment --json wrote.") from None
+        raise ShmooError(f"{path}: is not JSON ({error}); give a file that {command} wrote.") from None
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"]))
-        raise ShmooError(f"{path}: {field}: {first['msg']}; give a file that shmoo experiment --json wrote.") from None
+        raise ShmooError(f"{path}: {field}: {first['msg']}; give a file that {command} wrote.") from None
 
 
 def table(result: ExperimentResult) -> str:

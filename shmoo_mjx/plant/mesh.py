@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 
 from shmoo_mjx.base.files import write_whole
+from shmoo_mjx.base.guard import OBJECT, check_output
 from shmoo_mjx.base.schema import validated
 from shmoo_mjx.errors import ShmooError
 from shmoo_mjx.plant.closed_surface import closed_solid
@@ -70,6 +71,8 @@ def add_object(
         ShmooError: the file can't be read as an object, or a number is out of range.
     """
     name = source.name
+    target = Path(source.stem + ".json") if out is None else Path(out)
+    check_output(target, OBJECT, ".json")
     if not 0 < scale < np.inf:
         raise ShmooError(f"--scale {scale} must be a positive number.")
     if source.suffix.lower() == ".xml":
@@ -108,7 +111,6 @@ def add_object(
         "swivel_friction": swivel_friction,
     }
     validated(ObjectFile, data, name)
-    target = Path(out) if out else Path(source.stem + ".json")
     return write_whole(target, json.dumps(data, indent=1).encode())
 
 

@@ -32,6 +32,7 @@ from shmoo_mjx.planning.scenario import (
     save_scenario,
     with_own_objects,
 )
+from shmoo_mjx.plant.condition import is_custom
 
 if TYPE_CHECKING:
     from shmoo_mjx.control.pushing import PushController
@@ -304,12 +305,20 @@ def push_inputs(
     Raises:
         ShmooError: an argument is invalid.
     """
+    from shmoo_mjx.plant.object_file import read_object
+
     values = {}
     for text in properties:
         name, equals, value = text.partition("=")
         if not equals:
             raise ShmooError(f"--set {shortened(text)!r} must be NAME=VALUE, such as mass=6.")
         values[name] = value_of(value, f"--set {shortened(text)!r}")
+        if isinstance(values[name], str):
+            raise ShmooError(
+                f"--set {shortened(text)!r} must be a number, true, false, or a list such as size=[0.5,0.5,0.6]."
+            )
+    if is_custom(family):
+        read_object(family)  # Without this, the message would name the properties and not the file.
     entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": values}
     task = {"start": _numbers("--start", start, 3), "push_to": _numbers("--goal", goal, 3), "objects": [entry]}
     half = round(_FLOOR / 2 / _CELL)

@@ -37,11 +37,17 @@ def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) 
 
 
 def test_what_could_not_be_written_is_named_and_leaves_nothing(tmp_path: Path) -> None:
-    (tmp_path / "a.json").mkdir()
+    (tmp_path / "a.json").touch()
     with pytest.raises(OSError) as error:
-        files.write_whole(tmp_path / "a.json", b"new")
-    assert error.value.filename == str(tmp_path / "a.json") and error.value.strerror
+        files.write_whole(tmp_path / "a.json" / "b.json", b"new")
+    assert error.value.filename == str(tmp_path / "a.json" / "b.json") and error.value.strerror
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize("path", [".", "", "/"])
+def test_a_folder_is_no_output_file(path: str) -> None:
+    with pytest.raises(ShmooError, match="is a folder"):
+        files.write_whole(path, b"new")
 
 
 def test_a_folder_that_another_process_keeps_is_refused_and_free_again_once_that_is_gone(tmp_path: Path) -> None:

@@ -106,6 +106,7 @@ def test_who_stops_elsewhere_has_not_arrived(controller: PushController) -> None
         ("bad:Shapeless", ("u is [1, 3]",)),
         ("bad:Broken", ("not finite",)),
         ("bad:Missing", ("bad has no class or function 'Missing'",)),
+        ("bad", ("give it as package.module:Name",)),
         ("gone:Policy", ("no module 'gone'",)),
         ("torn:Policy", ("no module 'nothing_like_it'",)),
     ],

@@ -80,6 +80,9 @@ def test_wrong_files_are_named(tmp_path: Path) -> None:
         compare_files([old])
     with pytest.raises(ShmooError, match=r"absent\.json: does not exist"):
         compare_files([old, tmp_path / "absent.json"])
+    (tmp_path / "notes.json").write_text("{}")
+    with pytest.raises(ShmooError, match=r"notes\.json: .*give a file that shmoo bench wrote"):
+        compare_files([old, tmp_path / "notes.json"])
     other = make_result("pushing", ExperimentOptions(), {}, {"tick_ms": 1.0}, paper={}, rows=[])
     write_result(tmp_path / "pushing.json", other)
     with pytest.raises(ShmooError, match=r"pushing\.json: is no benchmark"):

@@ -42,6 +42,10 @@ BAD_INPUT: dict[str, tuple[str, tuple[str, ...]]] = {
     "number in quotes": ("navigate --scenario quoted.yaml", ("'goal[0]'", "'4'", "quotes")),
     "start off the map": ("navigate --map room.yaml --start -90,1,0 --goal -2,1", ("-90",)),
     "neither scenario nor start": ("navigate --map room.yaml", ("--scenario", "--start", "--goal")),
+    "report on nothing": ("report runs/r_nope", ("runs/r_nope", "no such file or folder")),
+    "report's folder beside a run": ("report . --out elsewhere", ("--out", "for a recording alone")),
+    "weights beside a run": ("report . --weights cut.safetensors", ("--weights", "for a recording alone")),
+    "size beside a run": ("report . --size 0.5 0.4", ("--size", "for a recording alone")),
     "training without data": ("train object nothing_here", ("nothing_here", "shmoo collect")),
 }
 IN_A_PROCESS = {

@@ -10,6 +10,7 @@ import pytest
 
 from shmoo_mjx import cli
 from shmoo_mjx.evaluation.catalogue import KINDS, catalogue
+from shmoo_mjx.evaluation.registry import check_options
 
 Shmoo = Callable[..., CompletedProcess[str]]
 
@@ -38,6 +39,26 @@ def test_who_types_an_old_name_is_told_the_new_one(old: str, shmoo: Shmoo) -> No
     assert refused.stderr.count("\n") == 1
 
 
-def test_options_of_one_experiment_are_refused_for_another(shmoo: Shmoo) -> None:
-    refused = shmoo("experiment", "pushing", "--runs", "3")
-    assert refused.returncode == 2 and "--runs" in refused.stderr and "faults" in refused.stderr
+@pytest.mark.parametrize(
+    ("words", "user"),
+    [
+        ("pushing --runs 3", "faults"),
+        ("all --minutes 3", "soak"),
+        ("faults --maps maps", "navigation"),
+        ("pushing --scenarios 3", "navigation"),
+        ("object_planner --policies ours", "pushing"),
+        ("navigation --data data", "object_model"),
+        ("object_model --weights w.safetensors", "estimate"),
+        ("faults --senses perfect", "outcomes"),
+        ("real_pushing --pushes pushes", "all"),
+    ],
+)
+def test_options_of_one_experiment_are_refused_for_another(words: str, user: str, shmoo: Shmoo) -> None:
+    refused = shmoo("experiment", *words.split())
+    option = words.split()[1]
+    assert refused.returncode == 2 and refused.stderr.startswith(f"shmoo: {option} is for shmoo experiment ")
+    assert user in refused.stderr and refused.stderr.count("\n") == 1
+
+
+def test_all_takes_what_its_experiments_take() -> None:
+    check_options("all", ["data", "maps", "scenarios", "policies", "pushes"])

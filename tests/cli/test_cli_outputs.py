@@ -76,6 +76,18 @@ REFUSED = {
     "a view over a map's image": ("view scene/scene.yaml --no-window --out scene", "scene.png"),
     "a report in a run's folder": ("report log.csv --size 0.5 0.4 --out run", "run/result.json"),
     "weights over a map": ("train robot data --out map.yaml", "map.yaml"),
+    "a map's picture over a folder": ("map show map.yaml --out /", "/: is a folder"),
+    "an object over the present folder": ("object add table.obj --mass 4 --friction 0.4 --out .", ".: is a folder"),
+    "weights over a folder": ("train object data --quick --out /", "/: is a folder"),
+    "a scenario set over a folder": ("scenarios make --per-map 1 --out run", "run: is a folder"),
+    "a scenario set where none can be": ("scenarios make --per-map 1 --out /proc/set.json", "/proc/set.json"),
+    "an experiment over a folder": ("experiment faults --json .", ".: is a folder"),
+    "a benchmark where none can be": ("bench startup --json /proc/x/bench.json", "/proc/x/bench.json"),
+    "a benchmark below a file": ("bench startup --out notes.txt", "notes.txt/bench_startup.json"),
+    "all benchmarks over JSON": ("bench all --json new.json --out results", "results/bench_plant.json"),
+    "a benchmark without its interpreter": ("bench mppi --quick --peers-python nope/python", "nope/python"),
+    "an object file that no scenario takes": ("object add table.obj --mass 4 --friction 0.4 --out a.txt", ".json"),
+    "a picture under another name": ("map show map.yaml --out a.txt", ".png"),
 }
 
 
@@ -98,6 +110,8 @@ def test_what_would_be_destroyed_is_refused_in_one_sentence(case: str, folder: P
     (folder / "run").mkdir()
     np.savez(folder / "run" / "trace.npz", t=np.zeros(1))
     (folder / "run" / "result.json").write_text(json.dumps({"outcome": "success"}))
+    (folder / "results").mkdir()
+    shutil.copy("package.json", "results/bench_plant.json")
     (folder / "set.json").write_text(json.dumps({"format": "", "scenarios": []}))
     before = tree(folder)
     words, named = REFUSED[case]

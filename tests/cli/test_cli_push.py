@@ -23,7 +23,9 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     [
         (["chair"], "no object family"),
         (["box", "--set", "mass"], "NAME=VALUE"),
-        (["box", "--set", "mass=heavy"], "finite number"),
+        (["nope.json"], "shmoo: nope.json: there is no such object file"),
+        (["box", "--set", "mass=heavy"], "must be a number"),
+        (["box", "--set", "size=0.5,0.5,0.6"], "a list such as size=[0.5,0.5,0.6]"),
         (["box", "--set", "masss=3"], "'masss' of the box is unknown"),
         (["box", "--set", "locked=[true"], "a list such as"),
         (["box", "--set", "mass=6", "control.rollouts=64"], "control.num_rollouts"),

@@ -186,7 +186,7 @@ def test_bad_input_is_one_sentence_with_exit_code_2(
         (("experiment", "navigation", "--scenarios", "odd.json"), "this is no scenario set"),
         (("experiment", "navigation", "--scenarios", "none"), "this is no scenario set"),
         (("experiment", "navigation", "--scenarios", "-3"), "--scenarios '-3' must be a whole number"),
-        (("experiment", "pushing", "--scenarios", "odd.json"), "for navigation alone"),
+        (("experiment", "pushing", "--scenarios", "odd.json"), "for shmoo experiment navigation or lifelong alone"),
         (("experiment", "navigation", "--maps", "none", "--scenarios", "odd.json"), "without --maps"),
     ):
         done = shmoo(*command)
