@@ -29,10 +29,11 @@ EXPERIMENTS = {
 """Name to module, in the order of the page."""
 RELIABILITY = {"faults": "shmoo_mjx.evaluation.faults", "soak": "shmoo_mjx.evaluation.soak"}
 """Experiments for developers. ``shmoo experiment all`` does not run them."""
-_DRIVES = ("navigation", "lifelong", "pushing", "object_planner", "outcomes", "estimate", "robot_finetune")
+_SENSING = ("navigation", "lifelong", "pushing", "object_planner", "outcomes", "estimate", "robot_finetune")
+"""Experiments that run the trained weights with simulated sensing."""
 OPTIONS = {
-    "weights": (*_DRIVES, *RELIABILITY),
-    "senses": _DRIVES,
+    "weights": (*_SENSING, *RELIABILITY),
+    "senses": _SENSING,
     "data": ("object_model", "baselines", "ablations", "real_pushing"),
     "maps": ("navigation", "lifelong"),
     "scenarios": ("navigation", "lifelong"),
