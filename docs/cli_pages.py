@@ -31,7 +31,8 @@ PAGES = {
 COMMON = (
     "Type `shmoo --help` for all commands and `shmoo COMMAND --help` for one. Every command also takes `--quiet` "
     "(print only results and errors) and `--verbose` (print log lines to stderr instead of progress bars). A flag such "
-    "as `--video` has the opposite `--no-video`. Bad input prints what is wrong and how to mend it, and ends with exit code 2."
+    "as `--video` has the opposite `--no-video`. Bad input prints what is wrong and how to mend it, and ends with exit "
+    "code 2."
 )
 
 

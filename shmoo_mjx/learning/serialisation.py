@@ -84,7 +84,8 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     from safetensors import SafetensorError, safe_open
 
     if not path.is_file():
-        raise ShmooError(f"{path}: there is no such file; train first or give the path of a weights file.")
+        what = "is no file" if path.exists() else "there is no such file"
+        raise ShmooError(f"{path}: {what}; train first or give the path of a weights file.")
     try:
         with safe_open(path, framework="numpy") as file:
             header = file.metadata() or {}

@@ -58,6 +58,8 @@ def test_garbled(path: Path) -> None:
 
 
 def test_missing_old_or_of_another_shape(path: Path) -> None:
+    with pytest.raises(ShmooError, match="is no file"):
+        weights.load_weights(path.parent)
     with pytest.raises(ShmooError, match="no such file"):
         weights.load_weights(path.with_name("x"))
     tree = {"params": weights.untrained(CONFIG).params}
