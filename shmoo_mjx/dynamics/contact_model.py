@@ -130,8 +130,8 @@ def _derivative(
 ) -> tuple[Array, Array]:
     """The derivative of `acceleration`, from the seven columns of its Jacobian that can differ from zero.
 
-    JAX alone would differentiate the solver backwards, with the same result. In a training this takes about seven times
-    as long to run and four times as long to compile.
+    JAX alone would differentiate the solver backwards, with the same result. In a training this takes several times as
+    long to run and to compile.
     """
     parameters, inputs, casters = primals
     of_parameters, of_inputs, of_casters = tangents

@@ -98,7 +98,9 @@ class ObjectEntry(_Strict):
         for name, entry in value.items():
             for number in entry if isinstance(entry, list | tuple) else [entry]:
                 if not isinstance(number, int | float) or not math.isfinite(number):
-                    raise ValueError(f"gives {name} = {number!r}; give a finite number, true, false or a list of them.")
+                    raise ValueError(
+                        f"gives {name} = {number!r}; give a finite number, true, false or a list such as [0.5,0.5,0.6]."
+                    )
                 if isinstance(number, bool) and name != "locked":
                     raise ValueError(f"gives {name} = {str(number).lower()}; give a number.")
                 if number < 0 and name in _NEVER_NEGATIVE:

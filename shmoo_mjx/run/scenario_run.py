@@ -233,12 +233,16 @@ def checked_objects(grid: OccupancyGrid, scenario: Scenario, name: str) -> list[
     """The conditions of the objects.
 
     Raises:
-        ShmooError: an object has invalid properties or stands in an impossible place. The message names it.
+        ShmooError: an object has invalid properties, a wrong object file, or stands in an impossible place. The message
+            names it.
     """
     from shmoo_mjx.planning.scenario import check_places
+    from shmoo_mjx.plant.object_file import read_object
 
     conditions = []
     for i, entry in enumerate(scenario.objects):
+        if is_custom(entry.family):
+            read_object(entry.family)  # A fault of this file is none of the properties below.
         try:
             conditions.append(entry.condition())
         except ShmooError as error:
@@ -305,20 +309,12 @@ def push_inputs(
     Raises:
         ShmooError: an argument is invalid.
     """
-    from shmoo_mjx.plant.object_file import read_object
-
     values = {}
     for text in properties:
         name, equals, value = text.partition("=")
         if not equals:
             raise ShmooError(f"--set {shortened(text)!r} must be NAME=VALUE, such as mass=6.")
         values[name] = value_of(value, f"--set {shortened(text)!r}")
-        if isinstance(values[name], str):
-            raise ShmooError(
-                f"--set {shortened(text)!r} must be a number, true, false, or a list such as size=[0.5,0.5,0.6]."
-            )
-    if is_custom(family):
-        read_object(family)  # Without this, the message would name the properties and not the file.
     entry = {"family": family, "pose": (0.0, 0.0, 0.0), "seed": seed, "properties": values}
     task = {"start": _numbers("--start", start, 3), "push_to": _numbers("--goal", goal, 3), "objects": [entry]}
     half = round(_FLOOR / 2 / _CELL)
